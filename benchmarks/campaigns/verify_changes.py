@@ -33,8 +33,7 @@ from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.false_positive_checks import false_positive_checks
 from modsim3d.verify.parameters import Parameter, judge
-from modsim3d.verify.state_checks import state_checks
-from modsim3d.verify.verification import verify_evidence
+from modsim3d.verify.verification import state_checks, verify_evidence
 from tests.detector_changes import Change, single_changes
 from tests.detector_variants import variant
 

@@ -211,7 +211,8 @@ def check_run_command(
     verification = verified.verification
     print_document(open_console(), verify_report.document(verified))
     shared.print_written(open_console(), paths)
-    said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
+    notes = [f"{name}: {note}" for name, note in verify_report.named_notes(verification)]
+    said = {"conclusion": verify_report.conclusion(verification), "notes": notes}
     say_json({"command": "check run", **verify_report.report_data(verified), **said, "written": paths})
     if not verification.obeys:
         raise typer.Exit(1)

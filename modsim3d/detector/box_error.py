@@ -39,8 +39,7 @@ class MisplacedBoxes:
 
 @dataclass(frozen=True, eq=False)
 class TrueBoxes:
-    """The boxes (n, 4) of n detected vessels before errors are added, at least a pixel wide and high. `state` is the
-    performance state of each vessel, shape (n,)."""
+    """Boxes (n, 4) of n detected vessels before errors, at least a pixel wide and high, and their `state`, (n,)."""
 
     frames: CameraFrames
     targets: Targets
@@ -90,11 +89,10 @@ def _rotation(first: float, second: float, between: float) -> tuple[float, float
 class BoxErrorSource:
     """Draws the box errors of a detector. An error is the mean plus the root of the covariance times a standardised
     error. `relative` errors are multiplied by the side of the box along their axis; `mixed` ones have a standard
-    deviation σ₀ + k·side. A draw counts only if the box, clipped to the image, is at least one pixel wide and high: no
-    box is inverted, outside the image, or a sliver at its edge. Other draws are resampled, so the errors of small boxes
-    and of boxes at the edge do not have exactly the distribution in the file. A true side below one pixel is replaced
-    by the whole pixel that contains its middle: otherwise a detector without errors could never see a vessel half a
-    pixel high."""
+    deviation σ₀ + k·side. Draws that leave less than a pixel of the box, clipped to the image, are resampled, so the
+    errors of small boxes and of boxes at the edge do not have exactly the distribution in the file. A true side below
+    one pixel is replaced by the whole pixel that contains its middle: otherwise a detector without errors could never
+    see a vessel half a pixel high."""
 
     state_names: tuple[str, ...]
     means: Array  # in pixels, or in sides where relative, shape (states, 4)
@@ -124,7 +122,6 @@ class BoxErrorSource:
 
     @functools.cached_property
     def _one_distribution(self) -> bool:
-        """Whether all states have the same distribution."""
         return len(set(self.distributions)) == 1
 
     def misplace(
@@ -143,9 +140,7 @@ class BoxErrorSource:
 
     def errors_px(self, state: Indices, sizes_px: Array, latent: Array) -> Array:
         """Errors (n, ..., 4) from standard normal numbers (n, ..., 4 + `extra_normals`); see `draws` for why no `@`.
-
-        States have shape (n,). Sizes are the width and height of the true boxes, at least a pixel, shape (n, 2).
-        """
+        States have shape (n,). Sizes are the width and height of the true boxes, at least a pixel, shape (n, 2)."""
         standard = self._standardised(state, latent)
         shape = (len(state), *([1] * (standard.ndim - 2)), 4)
         factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
@@ -187,8 +182,7 @@ class BoxErrorSource:
         return np.where(spread > 1, means + (scaled - means) / spread, scaled) if self.growths.any() else scaled
 
     def _redraw(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices) -> Array:
-        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators. Each row has
-        streams of its own, so resampling one leaves the first draws of other steps as they were."""
+        """Errors of some rows, (r, 4): the first acceptable draw of each row's own streams, so that others stay."""
         errors = np.empty((len(rows), 4))
         pending, drawn, draws = np.arange(len(rows)), 0, _FIRST_DRAWS
         while len(pending):

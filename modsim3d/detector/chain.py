@@ -43,7 +43,7 @@ _KEPT_COLUMNS = tuple(each.name for each in fields(_Unscored) if each.name in De
 
 
 @dataclass(frozen=True, eq=False)
-class _DetectedVessels:
+class _Vessels:
     """The n vessels that are neither missed nor merged into another's box."""
 
     targets: Targets  # a merged one has the box around both
@@ -70,15 +70,31 @@ class _DetectedVessels:
         )
 
 
+def _false(frame: Indices, target: Indices, kind: int, label: Indices, boxes_px: Array, uniforms: Array) -> _Unscored:
+    """Detections of one kind that are no box of a vessel, of which they may lie on one."""
+    count = len(frame)
+    return _Unscored(
+        frame=frame,
+        target=target,
+        partner=np.full(count, -1),
+        kind=np.full(count, kind),
+        label=label,
+        boxes_px=boxes_px,
+        errors_px=np.full((count, 4), np.nan),
+        redrawn=np.zeros(count, dtype=bool),
+        visible_fraction=np.full(count, np.nan),
+        uniforms=uniforms,
+    )
+
+
 class Detector:
     """A simulated detector (Jessen & Mohr (2023), section 7.6): state, dropout and class, box error, false positives,
     confidence, in this order. The same frames give the same detections, however a run is split into chunks."""
 
     def __init__(self, model: DetectorModel, seed: int, statistics: TargetStatistics, clock: Clock) -> None:
-        """Build the parts that the model asks for; the seed is the key of all its random numbers. `statistics` of the
-        scene's targets come from `target_statistics`; the clock has the times of the scene's steps, as `scene.times_s`,
-        since noise may persist. Raises ModsimError if the sizes of false positives come from targets, and there are
-        none."""
+        """Build the parts that the model asks for; the seed is the key of all its random numbers. `statistics` come
+        from `target_statistics`; the clock has the times of the scene's steps, since noise may persist. Raises
+        ModsimError if the sizes of false positives come from targets, and there are none."""
         self.model = model
         self._streams = Streams(seed)
         self._states = PerformanceStates(model, self._streams)
@@ -90,8 +106,7 @@ class Detector:
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
     def detect(self, frames: CameraFrames, targets: Targets) -> Detections:
-        """The detections in a run of frames of one camera. Raises ModsimError if the box error of a state leaves
-        nothing of a box, however often it is drawn."""
+        """Detections in frames of one camera. Raises ModsimError if box errors leave nothing of a box at any draw."""
         states = self._states.at(frames)
         passed = self.model.gates.passed(frames, targets)
         rows = np.flatnonzero(passed)
@@ -110,7 +125,7 @@ class Detector:
         ]
         return self._scored(states, parts, passed)
 
-    def _detected(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _DetectedVessels:
+    def _detected(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _Vessels:
         candidates = targets if len(passed) == len(targets) else draws.select(targets, passed)
         label, level = self._classified(frames, states, candidates)
         # Which pairs merge does not depend on who is missed, so that what is left of a vessel's own draws is no choice.
@@ -123,9 +138,7 @@ class Detector:
             label[smaller] = -1
         rows = np.flatnonzero(label >= 0)
         vessels = draws.select(replace(candidates, boxes_px=boxes), rows)
-        return _DetectedVessels(
-            vessels, passed[rows], partner[rows], label[rows], None if level is None else level[rows]
-        )
+        return _Vessels(vessels, passed[rows], partner[rows], label[rows], None if level is None else level[rows])
 
     def _classified(self, frames: CameraFrames, states: Indices, targets: Targets) -> tuple[Indices, Array | None]:
         """Label of each target, −1 where it is missed, and the level of its confidence where the same score decides."""
@@ -136,7 +149,7 @@ class Detector:
         return self._classifier.classify_scored(frames, states, targets, uniforms, scores)
 
     def _true_detections(
-        self, frames: CameraFrames, detected: _DetectedVessels, placed: MisplacedBoxes, events: Events
+        self, frames: CameraFrames, detected: _Vessels, placed: MisplacedBoxes, events: Events
     ) -> _Unscored:
         """One detection of each detected vessel; of a split one the larger part."""
         boxes = placed.boxes_px.copy()
@@ -149,9 +162,7 @@ class Detector:
             uniforms[:, 0] = detected.level
         return detected.unscored(slice(None), kind, boxes, errors, placed.redrawn, uniforms)
 
-    def _duplicates(
-        self, frames: CameraFrames, states: Indices, detected: _DetectedVessels, events: Events
-    ) -> list[_Unscored]:
+    def _duplicates(self, frames: CameraFrames, states: Indices, detected: _Vessels, events: Events) -> list[_Unscored]:
         """Second boxes, whose errors are drawn like those of the first."""
         if not len(events.doubled):
             return []
@@ -165,7 +176,7 @@ class Detector:
         return [detected.unscored(events.doubled, kind, placed.boxes_px, placed.errors_px, placed.redrawn, uniforms)]
 
     def _fragments(
-        self, frames: CameraFrames, detected: _DetectedVessels, placed: MisplacedBoxes, events: Events
+        self, frames: CameraFrames, detected: _Vessels, placed: MisplacedBoxes, events: Events
     ) -> list[_Unscored]:
         """The smaller parts of split boxes."""
         count = len(events.split)
@@ -190,53 +201,23 @@ class Detector:
         shown = draws.select(vessels, rows)
         confidence = draws.target_uniforms(self._streams, Purpose.ON_VESSEL_CONFIDENCE, frames, shown)
         labels = self._false_positive_source.labels(states[shown.frame], uniforms[rows, 0] / law.share)
-        return [
-            _Unscored(
-                frame=shown.frame,
-                target=passed[rows],
-                partner=np.full(len(rows), -1),
-                kind=np.full(len(rows), records.ON_VESSEL),
-                label=labels,
-                boxes_px=boxes[rows],
-                errors_px=np.full((len(rows), 4), np.nan),
-                redrawn=np.zeros(len(rows), dtype=bool),
-                visible_fraction=np.full(len(rows), np.nan),
-                uniforms=confidence,
-            )
-        ]
+        return [_false(shown.frame, passed[rows], records.ON_VESSEL, labels, boxes[rows], confidence)]
 
     def _false_positives(
         self, frames: CameraFrames, states: Indices, vessels: Targets, events: Events
     ) -> list[_Unscored]:
-        """Detections of nothing."""
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         counts = false_positives.FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
         around = false_positives.Surroundings(self._streams, frames, counts, vessels)
-        transient = self._false_positive_source.draw_transient(around)
-        parts = [self._of_false_positives(frames, transient, records.FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
+        source, drawn = self._false_positive_source, {}
+        drawn[records.FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE] = source.draw_transient(around)
         if self.model.false_positives.persistent_share:
-            persistent = self._false_positive_source.draw_persistent(around)
-            kind, purpose = records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE
-            parts.append(self._of_false_positives(frames, persistent, kind, purpose))
+            drawn[records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE] = source.draw_persistent(around)
+        parts = []
+        for (kind, purpose), each in drawn.items():
+            uniforms, none = each.uniforms(self._streams, purpose, frames), np.full(len(each.frame), -1)
+            parts.append(_false(each.frame, none, kind, each.label, each.boxes_px, uniforms))
         return parts
-
-    def _of_false_positives(
-        self, frames: CameraFrames, drawn: false_positives.FalsePositives, kind: int, purpose: Purpose
-    ) -> _Unscored:
-        count = len(drawn.frame)
-        no_target = np.full(count, -1)
-        return _Unscored(
-            frame=drawn.frame,
-            target=no_target,
-            partner=no_target,
-            kind=np.full(count, kind),
-            label=drawn.label,
-            boxes_px=drawn.boxes_px,
-            errors_px=np.full((count, 4), np.nan),
-            redrawn=np.zeros(count, dtype=bool),
-            visible_fraction=np.full(count, np.nan),
-            uniforms=drawn.uniforms(self._streams, purpose, frames),
-        )
 
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""
@@ -273,8 +254,7 @@ def false_positive_rates(model: DetectorModel) -> false_positives.FalsePositiveR
 
 
 def target_statistics(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetStatistics:
-    """Statistics that a detector needs of a scene's targets that pass its gates: give the result to `Detector`,
-    whatever the model. `parts` are the whole scene; a model that needs none gets an empty result."""
+    """Statistics that a `Detector` needs of the targets in `parts`, the whole scene, that pass its gates; else none."""
     if not model.needs_target_statistics:
         return TargetStatistics()
     return TargetStatistics.total(
@@ -334,8 +314,7 @@ def used_models(model: DetectorModel) -> Iterator[UsedModel]:
     yield UsedModel(DetectorPart.FALSE_POSITIVES, model.false_positives.model, "false_positives.model")
     for state in model.states:
         true, false = state.confidence.true, state.confidence.false
-        kinds = {"": true} if true is false else {".true": true, ".false": false}
-        for suffix, scores in kinds.items():
+        for suffix, scores in ({"": true} if true is false else {".true": true, ".false": false}).items():
             key = f"states.{state.name}.confidence{suffix}"
             yield UsedModel(DetectorPart.CONFIDENCE, model_name(SCORES, scores), key, state.name)
 

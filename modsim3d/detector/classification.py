@@ -57,16 +57,14 @@ class ConfusionClassifier:
             stretched = np.minimum(uniforms * (usual / np.maximum(seen, _LEAST)), np.nextafter(usual, 0))
             uniforms = np.where(detected, stretched, 1.0)
         label = choose(self.distributions[state, targets.label], uniforms)
-        background = self.distributions.shape[1]
-        return np.where(label >= background, -1, label)
+        return np.where(label >= self.distributions.shape[1], -1, label)
 
     def classify_scored(
         self, frames: CameraFrames, states: Indices, targets: Targets, uniforms: Array, scores: Array
     ) -> tuple[Indices, Array]:
-        """Detected label of each target, −1 where it is missed, and how sure the detector is of it, from 0 to 1. A
-        target is missed where its score, uniform in (0, 1), is below the chance of a miss p, and the detector is as
-        sure as (score − p) / (1 − p). The label comes from another number, with its share of the column. Shapes
-        (n,)."""
+        """Detected label of each target, −1 where it is missed, and how sure the detector is of it, from 0 to 1. Below
+        the chance of a miss p its score, uniform in (0, 1), misses it; else the detector is as sure as
+        (score − p) / (1 − p). The label comes from another number, with its share of the column. Shapes (n,)."""
         state = states[targets.frame]
         missed = self.miss_rates(state, targets)
         usual = 1 - _miss_rates(self.distributions)[state, targets.label]
@@ -91,8 +89,7 @@ _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition
 
 
 class PerformanceStates:
-    """The states that a detector's cameras are in. The chain goes on while the schedule forces a state, so the states
-    after it are those of a run without a schedule."""
+    """States of a detector's cameras. The chain goes on while the schedule forces a state, as without a schedule."""
 
     def __init__(self, model: DetectorModel, streams: Streams) -> None:
         """Start in the model's initial state."""

@@ -55,8 +55,7 @@ SCORES: Mapping[str, type[ConfidenceLaw]] = {"normal": NormalScores, "quantiles"
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """A precision-recall curve, straight between its points and level before the first. Recall, ascending, and
-    precision are above 0, shapes (n,)."""
+    """A precision-recall curve, straight between points and level before them; ascending recall, and precision (n,)."""
 
     recall: Array
     precision: Array
@@ -94,8 +93,7 @@ class PrecisionRecall:
         true = QuantileScores(confidence[::-1].copy())
         if false[-1] == 0:
             return true, true
-        share_above = false / false[-1]
-        return true, QuantileScores(on_grid(np.interp(even, 1 - share_above[::-1], confidence[::-1])))
+        return true, QuantileScores(on_grid(np.interp(even, 1 - (false / false[-1])[::-1], confidence[::-1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +114,7 @@ class StateConfidence:
         if self.visibility_slope:
             score = score - self.visibility_slope * np.where(np.isnan(visible_fraction), 0, 1 - visible_fraction)
         if self.size_slope:
-            halvings = -log2(np.minimum(size_px / self.size_reference_px, 1.0))
-            score = score - self.size_slope * halvings
+            score = score - self.size_slope * -log2(np.minimum(size_px / self.size_reference_px, 1.0))
         return score
 
 
@@ -177,8 +174,7 @@ def clipped_laws(means: Array, std: float, threshold: float) -> tuple[Array, Arr
 
 
 def clipped_sums(values: Array, low: float, high: float) -> Array:
-    """Each number's (n,) part of the sums that the fit needs, shape (n, 5): whether it is at the low end, at the high
-    end and between; if between, its value and square, else 0."""
+    """Parts of the numbers (n,) in sums for the fit, (n, 5): at the low end, the high end, between; value, square."""
     at_low, at_high = values <= low, values >= high
     inside = ~(at_low | at_high)
     return np.column_stack([at_low, at_high, inside, inside * values, inside * values**2]) * 1.0
@@ -256,8 +252,7 @@ def drawn_levels(levels: Levels, confidence: Array, threshold: float, rng: np.ra
     """One level for each confidence, uniform if they follow their law, shape (n,). Where several levels give one
     confidence, as at both ends of the range, one of them is drawn."""
     low = np.where(confidence <= threshold, 0.0, levels[0])
-    high = np.where(confidence >= 1, 1.0, levels[1])
-    return np.asarray(low + rng.random(len(low)) * (high - low))
+    return np.asarray(low + rng.random(len(low)) * (np.where(confidence >= 1, 1.0, levels[1]) - low))
 
 
 # ---- What is known ----
@@ -271,8 +266,7 @@ def pair_likelihood(before: Array, low: Array, high: Array, correlation: Array, 
     below, above = (part / factor for part in _standard(before, low, high, correlation))
     known = low == high
     density = -(np.where(known, below, 0.0) ** 2) / 2 - np.log(spread * factor)
-    chance = np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _MIN_CHANCE))
-    return np.where(known, density, chance)
+    return np.where(known, density, np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _MIN_CHANCE)))
 
 
 def pair_score(before: Array, low: Array, high: Array, correlation: Array) -> Array:

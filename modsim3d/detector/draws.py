@@ -22,8 +22,8 @@ ErrorUnit = Literal["px", "relative", "mixed"]
 
 
 class ErrorDistribution(Protocol):
-    """A distribution of standardised errors: four independent standard normal numbers times one random scale. Its mean
-    is zero and its covariance the identity. `keys` are its own keys in a detector file's `box_error`: its fields."""
+    """A law of standardised errors, with mean zero and covariance one: four independent standard normal numbers times
+    one random scale. `keys` are its own keys in a detector file's `box_error`: its fields."""
 
     keys: ClassVar[tuple[str, ...]]
 
@@ -59,8 +59,7 @@ class StudentT:
 
     def scales(self, extra: Array) -> Array:
         """From one normal number each, read as its probability and that as the quantile of w, shape (...)."""
-        half = self.degrees_of_freedom / 2
-        chi_square = 2 * special.gammaincinv(half, special.ndtr(extra[..., 0]))
+        chi_square = 2 * special.gammaincinv(self.degrees_of_freedom / 2, special.ndtr(extra[..., 0]))
         return np.asarray(np.sqrt((self.degrees_of_freedom - 2) / chi_square))
 
 
@@ -113,12 +112,11 @@ _MAX_COUNTED = 16
 def keyed_uniforms(
     streams: Streams, purpose: Purpose, frames: CameraFrames, frame: Indices, owner: Indices, owners: Sequence[str]
 ) -> Array:
-    """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step, shape (n, width of the purpose).
-    `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,)."""
+    """Uniform numbers, (n, width of the purpose), of a camera, an owner (a vessel, say) and a step, given the index of
+    each row into the frames and into `owners`, shapes (n,)."""
     if not len(frame):
         return np.empty((0, purpose.uniforms))
-    steps = frames.steps[frame]
-    return streams.uniforms_of(purpose, frames.camera, owners=owners, owner=owner, steps=steps)
+    return streams.uniforms_of(purpose, frames.camera, owners=owners, owner=owner, steps=frames.steps[frame])
 
 
 def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indices) -> Array:
@@ -182,8 +180,8 @@ def low_uniforms(uniforms: Array) -> Array:
 
 
 def choose(distribution: Array, uniforms: Array) -> Indices:
-    """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices, shape (n,).
-    Indices of probability zero are never chosen."""
+    """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices (n,), of
+    which none has probability zero."""
     return np.asarray((uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64))
 
 

@@ -36,8 +36,7 @@ def _repeat_missing(polygons: Array, present: Mask) -> Array:
     places = np.where(present, np.arange(8), -1)
     last = places.max(axis=1, keepdims=True)
     source = np.maximum.accumulate(places, axis=1)
-    rows = np.arange(len(polygons))[:, None]
-    return polygons[rows, np.where(source < 0, last, source)]
+    return polygons[np.arange(len(polygons))[:, None], np.where(source < 0, last, source)]
 
 
 def uniform_places(half_planes: Array, image_size_px: tuple[int, int], uniforms: Array) -> Array:
@@ -71,13 +70,9 @@ class Placement:
     def places(
         self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None = None
     ) -> Array:
-        """Points in the image, x and y in pixels, multiples of `PLACE_STEP_PX`, shape (m, 2).
-
-        Args:
-            half_planes: Sea side of the horizon for each point, shape (m, 3).
-            uniforms: Uniform numbers, shape (m, 3).
-            drift_px: How far each point has moved along the horizon, shape (m,); None for points that do not move.
-        """
+        """Points in the image, x and y in pixels, multiples of `PLACE_STEP_PX`, shape (m, 2). Half-planes are the sea
+        side of the horizon, and uniform numbers have the same shape (m, 3). `drift_px` is how far each point has moved
+        along the horizon, (m,); None for points that do not move."""
         if not len(uniforms):  # most single frames
             return np.empty((0, 2))
         return on_grid(self._places(half_planes, image_size_px, uniforms, drift_px), PLACE_STEP_PX)
@@ -108,8 +103,7 @@ class Placement:
         low, high = (ends[:, 0] for ends in _slice(depth, across, level[:, None]))
         width = np.maximum(high - low, 1e-9)
         place = low + _reflected(uniforms[:, 1] * width + (0 if drift_px is None else drift_px), width)
-        points = (level - offset)[:, None] * down + place[:, None] * along
-        return np.clip(points, 0, image_size_px)
+        return np.clip((level - offset)[:, None] * down + place[:, None] * along, 0, image_size_px)
 
     def _level_weights(self, depth: Array, across: Array) -> Array:
         """Weight of levels evenly spaced over each polygon's depths, shape (m, nodes)."""
@@ -130,8 +124,7 @@ class Placement:
 
 
 def sea_levels(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array, Array]:
-    """Depths below the horizon that share out the sea in each image, and the sea's width at each, in pixels.
-    Half-planes have shape (m, 3), both results (m, nodes)."""
+    """Depths below the horizon that share out each image's sea, and its width there, in px, (m, nodes)."""
     depth, across = _corners(half_planes, image_size_px)
     everywhere = Placement()
     return everywhere._levels(depth), everywhere._level_weights(depth, across)
@@ -147,9 +140,8 @@ def _corners(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array,
     """Depth below the horizon and place along it of the corners of the sea in each image, shapes (m, 8)."""
     polygons = sea_polygons(half_planes, image_size_px)
     down, along = _axes(half_planes)
-    offset = half_planes[:, 2] / _length(half_planes)
     # On the grid: rounding must not decide whether an edge lies along a level.
-    depth = on_grid((polygons * down[:, None]).sum(axis=2) + offset[:, None])
+    depth = on_grid((polygons * down[:, None]).sum(axis=2) + (half_planes[:, 2] / _length(half_planes))[:, None])
     return depth, on_grid((polygons * along[:, None]).sum(axis=2))
 
 

@@ -61,16 +61,11 @@ class FalsePositiveModel(ABC):
         return np.ones(len(frames.states))
 
     def draw(
-        self,
-        streams: Streams,
-        camera_frames: CameraFrames,
-        rates: FalsePositiveRates,
-        frames: FrameCounts,
-        share: float,
+        self, streams: Streams, seen: CameraFrames, rates: FalsePositiveRates, frames: FrameCounts, share: float
     ) -> Indices:
         """Number of transient ones in each frame, given their share of all, shape (S,)."""
-        purpose, camera = Purpose.CLUTTER_COUNT, camera_frames.camera
-        uniforms = step_uniforms(streams, purpose, camera, steps=camera_frames.steps)
+        purpose, camera = Purpose.CLUTTER_COUNT, seen.camera
+        uniforms = step_uniforms(streams, purpose, camera, steps=seen.steps)
         return poisson_quantile(uniforms[:, 0], share * self.means(rates, frames))
 
 
@@ -115,19 +110,13 @@ class Thesis(FalsePositiveModel):
         return 1 - rates.false_discovery[frames.states]
 
     def draw(
-        self,
-        streams: Streams,
-        camera_frames: CameraFrames,
-        rates: FalsePositiveRates,
-        frames: FrameCounts,
-        share: float,
+        self, streams: Streams, seen: CameraFrames, rates: FalsePositiveRates, frames: FrameCounts, share: float
     ) -> Indices:
         """Successes among the trials of each frame, shape (S,); none of them persists."""
         rate = rates.false_discovery[frames.states]
         frame, ordinal = numbered_rows(self._trials(rates, frames))
-        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER_TRIAL, camera_frames, frame, ordinal)
-        successes = frame[uniforms[:, 0] < rate[frame]]
-        return np.bincount(successes, minlength=len(rate)).astype(np.int64)
+        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER_TRIAL, seen, frame, ordinal)
+        return np.bincount(frame[uniforms[:, 0] < rate[frame]], minlength=len(rate)).astype(np.int64)
 
     @staticmethod
     def _trials(rates: FalsePositiveRates, frames: FrameCounts) -> Indices:
@@ -198,8 +187,7 @@ def _layer(
         return np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, _WIDTH))
     times = frames.times_s[wanted]
     first = int(times[0] // lifetime_s) - _LOOK_BACK
-    count = int(times[-1] // lifetime_s) + 1 - first
-    cells, draws = _births(streams, frames.camera, str(layer), first, count)
+    cells, draws = _births(streams, frames.camera, str(layer), first, int(times[-1] // lifetime_s) + 1 - first)
     born = (cells + draws[:, 0]) * lifetime_s
     lived = -special.log1p(-draws[:, 1]) * lifetime_s
     begin, end = np.searchsorted(times, born), np.searchsorted(times, born + lived)
@@ -286,14 +274,11 @@ class OnVessels:
     mean: tuple[float, ...] = (0.0,) * 4  # centre from the vessel's, in its width and height, and log of both ratios
     std: tuple[float, ...] = (0.0,) * 4
 
-    def boxes_px(
-        self, vessels_px: Array, image_size_px: tuple[int, int] | Array, uniforms: Array
-    ) -> tuple[Array, Mask]:
-        """Boxes on vessels, and which are there, a pixel wide and high in the image, from uniform numbers (n, 5).
-        Boxes have shape (n, 4)."""
+    def boxes_px(self, true_px: Array, image_size_px: tuple[int, int] | Array, uniforms: Array) -> tuple[Array, Mask]:
+        """Boxes on vessels, (n, 4), a pixel wide and high in the image, and which are there, from uniforms (n, 5)."""
         place = np.array(self.mean) + np.array(self.std) * grid_normals(uniforms[:, 1:])
-        sides = sizes(vessels_px)
-        middle = (vessels_px[:, :2] + vessels_px[:, 2:]) / 2 + sides * place[:, :2]
+        sides = sizes(true_px)
+        middle = (true_px[:, :2] + true_px[:, 2:]) / 2 + sides * place[:, :2]
         half = sides * on_grid(special.exp2(place[:, 2:] / _LN_2)) / 2
         boxes = np.concatenate([middle - half, middle + half], axis=1)
         there: Mask = (uniforms[:, 0] < self.share) & inside_image(boxes, image_size_px)
@@ -358,11 +343,7 @@ class FalsePositiveSource:
 
     @classmethod
     def of(
-        cls,
-        options: FalsePositiveOptions,
-        rates: FalsePositiveRates,
-        false_positive_labels: Array,
-        statistics: TargetStatistics,
+        cls, options: FalsePositiveOptions, rates: FalsePositiveRates, label_shares: Array, statistics: TargetStatistics
     ) -> FalsePositiveSource:
         """The false positives of a detector whose labels have a distribution in each state, shape (states, labels).
         Raises ModsimError if sizes come from the scene's targets, and there are none."""
@@ -373,14 +354,13 @@ class FalsePositiveSource:
                     "false positives are as large as annotated vessels, but there are none: give false_positives a size"
                 )
             sizes_ = SceneSizes(statistics) if len(statistics.sides.counts) else None
-        return cls(options, rates, cumulative(false_positive_labels), sizes_)
+        return cls(options, rates, cumulative(label_shares), sizes_)
 
     def draw_transient(self, around: Surroundings) -> FalsePositives:
-        """False positives of one frame only, centred on the sea in the image (on the image where it shows no sea). A
-        side is at least two pixels before clipping, so at least one after it."""
+        """False positives of one frame only, centred on the sea in the image, or on the image where it shows none.
+        Sides are at least two pixels before clipping, so at least one after it."""
         streams, frames, share = around.streams, around.frames, 1 - self.options.persistent_share
-        counts = self.options.numbers.draw(streams, frames, self.rates, around.counts, share)
-        frame, ordinal = numbered_rows(counts)
+        frame, ordinal = numbered_rows(self.options.numbers.draw(streams, frames, self.rates, around.counts, share))
         if not len(frame):  # most frames have none, and a live step is one frame
             return FalsePositives(frame, ordinal, np.empty((0, 4)), np.empty(0, dtype=np.int64))
         uniforms = ordinal_uniforms(streams, Purpose.CLUTTER, frames, frame, ordinal)
@@ -399,8 +379,7 @@ class FalsePositiveSource:
         self, around: Surroundings, frame: Indices, ordinal: Indices, uniforms: Array, drift_px: Array | None
     ) -> FalsePositives:
         boxes = self.boxes_px(around.frames, around.detected, frame, uniforms[:, : DRAWS + 1], drift_px)
-        labels = self.labels(around.counts.states[frame], uniforms[:, DRAWS + 1])
-        return FalsePositives(frame, ordinal, boxes, labels)
+        return FalsePositives(frame, ordinal, boxes, self.labels(around.counts.states[frame], uniforms[:, DRAWS + 1]))
 
     def labels(self, states: Indices, uniforms: Array) -> Indices:
         """Labels of false positives in a performance state each, from a uniform number each, shapes (m,)."""
@@ -425,7 +404,5 @@ class FalsePositiveSource:
             return self.sizes.at(uniforms)
         # The size of a detected vessel's truth box in the same frame; without one the mean count is 0.
         count = np.bincount(detected.frame, minlength=n_frames).astype(np.int64)
-        starts = np.cumsum(count) - count
-        source = starts[frame] + (uniforms * count[frame]).astype(np.int64)
-        true = sizes(detected.boxes_px[source])
-        return true + _MAX_CHANGE_PX * (2 * low_uniforms(uniforms) - 1)
+        source = (np.cumsum(count) - count)[frame] + (uniforms * count[frame]).astype(np.int64)
+        return sizes(detected.boxes_px[source]) + _MAX_CHANGE_PX * (2 * low_uniforms(uniforms) - 1)

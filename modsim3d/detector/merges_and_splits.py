@@ -80,8 +80,7 @@ class MergesAndSplits:
     split_aspect: float = 4.0  # least width over height of a long vessel's box
 
     def merged_pairs(self, noise: PairNoise, frames: CameraFrames, kept: Targets) -> Indices:
-        """Rows of the vessels that are merged if the larger is detected, the larger first, shape (k, 2). Each row is
-        there once at most: where pairs share a vessel, the pair that overlaps most is merged."""
+        """Vessels that merge if the larger is detected, larger first, (k, 2), each once at most: most overlap wins."""
         if not self.merges:
             return np.empty((0, 2), dtype=np.int64)
         pairs, overlap = _overlapping(kept, self.merge_overlap)
@@ -102,8 +101,8 @@ class MergesAndSplits:
         return np.asarray(width >= self.split_aspect * height)
 
     def events(self, streams: Streams, frames: CameraFrames, vessels: Targets, boxes_px: Array, single: Mask) -> Events:
-        """Duplicated and split vessels among n detected ones, and the expected numbers of both. Boxes have their
-        errors, shape (n, 4). `single` says which are one vessel, not two merged, shape (n,)."""
+        """Duplicated and split ones among n detected vessels, and expected numbers of both, given boxes with their
+        errors (n, 4), and which are one vessel, not two merged, (n,)."""
         if not self.duplicates and not self.splits:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
@@ -135,8 +134,7 @@ def halves(boxes_px: Array, cut: Array) -> tuple[Array, Array]:
     middle = boxes_px[:, 0] + cut * (boxes_px[:, 2] - boxes_px[:, 0])
     left, right = boxes_px.copy(), boxes_px.copy()
     left[:, 2] = right[:, 0] = middle
-    larger = np.where((cut >= 0.5)[:, None], left, right)
-    return larger, np.where((cut >= 0.5)[:, None], right, left)
+    return np.where((cut >= 0.5)[:, None], left, right), np.where((cut >= 0.5)[:, None], right, left)
 
 
 def _overlapping(kept: Targets, least: float) -> tuple[Indices, Array]:
@@ -144,15 +142,13 @@ def _overlapping(kept: Targets, least: float) -> tuple[Indices, Array]:
     box = kept.boxes_px
     area = sizes(box).prod(axis=1)
     pairs = [np.empty((0, 2), dtype=np.int64)]
-    most = int(np.bincount(kept.frame).max(initial=0))
-    for apart in range(1, most):
+    for apart in range(1, int(np.bincount(kept.frame).max(initial=0))):
         first = np.flatnonzero(kept.frame[apart:] == kept.frame[:-apart])
         pairs.append(np.stack([first, first + apart], axis=1))
     both = np.concatenate(pairs)
     a, b = both.T
     common = np.minimum(box[a, 2:], box[b, 2:]) - np.maximum(box[a, :2], box[b, :2])
     share = np.clip(common, 0, None).prod(axis=1) / np.maximum(np.minimum(area[a], area[b]), 1e-9)
-    swapped = area[b] > area[a]
-    both = np.where(swapped[:, None], both[:, ::-1], both)
+    both = np.where((area[b] > area[a])[:, None], both[:, ::-1], both)
     near = np.flatnonzero((share >= least) & (share > 0))
     return both[near], share[near]

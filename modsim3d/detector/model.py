@@ -33,8 +33,7 @@ class Performance:
         """The states at times in seconds, given those of the chain, all of shape (S,)."""
         if not self.schedule:
             return states
-        starts = [time_s for time_s, _ in self.schedule]
-        entry = np.searchsorted(starts, times_s + _EARLY_S, side="right")
+        entry = np.searchsorted([time_s for time_s, _ in self.schedule], times_s + _EARLY_S, side="right")
         schedule = np.array([-1, *(state for _, state in self.schedule)])[entry]
         return np.where(schedule >= 0, schedule, states)
 
@@ -103,9 +102,7 @@ class DetectorModel:
 
     def _repr_html_(self) -> str:
         """A notebook's table: for each state, how often each label is missed, and the share of false detections."""
-        rows = [
-            [state.name, *(f"{miss:.1%}" for miss in state.confusion[-1]), state.false_rate] for state in self.states
-        ]
+        rows = [[each.name, *(f"{miss:.1%}" for miss in each.confusion[-1]), each.false_rate] for each in self.states]
         header = ["state", *(f"{label}: missed" for label in self.labels), "false detections"]
         return column_table(f"Detector: {self.in_words()}", header, rows)
 
@@ -131,8 +128,7 @@ class DetectorModel:
 
 
 def stationary_shares(transition_matrix: Array) -> Array:
-    """The x with A x = x that sums to one, shape (states,), of a transition matrix A (Jessen & Mohr (2023), eq. 6.19).
-    Empty if there are several, as where no state is ever left."""
+    """The x with A x = x of sum one, (states,), of a transition matrix A (Jessen & Mohr (2023), eq. 6.19), or empty."""
     states = len(transition_matrix)
     equations = np.vstack([transition_matrix - np.eye(states), np.ones(states)])
     shares, _, rank, _ = np.linalg.lstsq(equations, np.eye(states + 1)[-1])

@@ -74,8 +74,7 @@ class BoxMemory:
 
     def correlation(self, apart_s: Array) -> Array:
         """Correlation of a vessel's numbers at times above 0 apart, shape (..., 5)."""
-        decays = np.exp(-np.asarray(apart_s)[..., None] / self.times_s)
-        return self.vessel_share + decays @ self.shares
+        return self.vessel_share + np.exp(-np.asarray(apart_s)[..., None] / self.times_s) @ self.shares
 
 
 @dataclass(frozen=True)
@@ -150,8 +149,7 @@ class KeptUniform:
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """New numbers, and one that decides whether they are taken, shape (count, width + 1)."""
         new = streams.uniforms(self.numbers, camera, vessel, first=first, count=count)
-        decides = streams.uniforms(self.kept, camera, vessel, first=first, count=count)
-        return np.concatenate([new, decides], axis=1)
+        return np.concatenate([new, streams.uniforms(self.kept, camera, vessel, first=first, count=count)], axis=1)
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """Keep the numbers or take the new ones, shape (vessels, width)."""
@@ -160,9 +158,9 @@ class KeptUniform:
 
 @dataclass(frozen=True)
 class Autoregressive:
-    """Standard normal numbers with correlation e^(−Δt/τ) over time, by a first-order autoregressive process:
-    z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ). That is exact for steps of any length (an Ornstein–Uhlenbeck process,
-    Gillespie (1996), "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9)."""
+    """Standard normal numbers with correlation e^(−Δt/τ): z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ), which is exact for
+    steps of any length (an Ornstein–Uhlenbeck process, Gillespie (1996), "Exact numerical simulation of the
+    Ornstein-Uhlenbeck process and its integral", eq. 1.9)."""
 
     correlation_s: float
     width: int = ERROR_NORMALS
@@ -191,27 +189,15 @@ class AutoregressiveScore(Autoregressive):
 
 @dataclass(frozen=True)
 class AutoregressivePart(Autoregressive):
-    """An autoregressive part of the score of a vessel, of width 1."""
+    """An autoregressive part of the score of a vessel, of width 1, or of the numbers behind a box error, of width 5."""
 
     width: int = 1
+    purpose: Purpose = Purpose.SCORE
     ordinal: int = 0
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """Independent standard normal numbers, shape (count, 1)."""
-        uniforms = streams.uniforms(Purpose.SCORE, camera, vessel, str(self.ordinal), first=first, count=count)
-        return grid_normals(uniforms)
-
-
-@dataclass(frozen=True)
-class BoxErrorPart(Autoregressive):
-    """An autoregressive part of the numbers behind a box error, of width 5."""
-
-    width: int = ERROR_NORMALS + 1
-    ordinal: int = 0
-
-    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """Independent standard normal numbers, shape (count, 5)."""
-        uniforms = streams.uniforms(Purpose.BOX_ERROR_PART, camera, vessel, str(self.ordinal), first=first, count=count)
+        """Independent standard normal numbers, shape (count, width)."""
+        uniforms = streams.uniforms(self.purpose, camera, vessel, str(self.ordinal), first=first, count=count)
         return grid_normals(uniforms)
 
 
@@ -308,8 +294,8 @@ class VesselNoise:
         kept = self._kept_by_vessels(Purpose.BOX_ERROR_PART_VESSEL, frames, targets)[:, :width]
         total = np.sqrt(memory.vessel_share[:width]) * kept
         for ordinal, (shares, time_s) in enumerate(zip(memory.shares, memory.times_s.tolist(), strict=True)):
-            walked = self._walked(BoxErrorPart(time_s, ordinal=ordinal), frames, targets)[:, :width]
-            total = total + np.sqrt(shares[:width]) * walked
+            part = AutoregressivePart(time_s, ERROR_NORMALS + 1, Purpose.BOX_ERROR_PART, ordinal)
+            total = total + np.sqrt(shares[:width]) * self._walked(part, frames, targets)[:, :width]
         white = latent_normals(self._streams, BOX_ERROR_STREAMS, frames, targets, extra)
         return total + np.sqrt(memory.white_share[:width]) * white
 

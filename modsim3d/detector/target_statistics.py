@@ -55,8 +55,8 @@ def tallied(dropout: Dropout, state: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class TargetStatistics:
-    """Counts of the targets of a scene that pass the detector's gates, by `tallied` state, label and range of the
-    log-odds that a target's look adds to a miss there, and by ranges of width and height."""
+    """Counts of a scene's targets that pass the gates, by `tallied` state, label and range of what their look adds to
+    the log-odds of a miss there, and by ranges of width and height."""
 
     log_odds: Tally = field(default_factory=lambda: _nothing(3))
     sides: Tally = field(default_factory=lambda: _nothing(2))

@@ -59,15 +59,12 @@ def _direction_numbers(dimensions: int) -> NDArray[np.uint32]:
 
 
 POINTS = 128
-"""Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),
-so that integration errors are as independent between boxes as the errors of the boxes, and far smaller."""
+"""Points of Sobol's sequence for each box, each with a shift of its own (Cranley & Patterson, 1976), so that
+integration errors are as independent between boxes as the errors of the boxes, and far smaller."""
 SINGLE_BOX_POINTS = 4096
-"""Points where the moments of one box count, and not a sum over many boxes.
-
-Against 3 million draws for boxes of Simulation 1's sizes and at the edges, in all of the thesis's states, means are off
-by less than 0.005 of a standard deviation and standard deviations by less than 0.8 %; with 1024 points by 0.021 and
-2.3 %.
-"""
+"""Points where the moments of one box count, and not a sum over many boxes. Against 3 million draws for boxes of
+Simulation 1's sizes and at the edges, in all of the thesis's states, means are off by less than 0.005 of a standard
+deviation and standard deviations by less than 0.8 %; with 1024 points by 0.021 and 2.3 %."""
 _POINTS_AT_ONCE, _POINTS_IN_CACHE = 1 << 16, 1 << 14
 _ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
 _MIN_SIDE_PX = 1.0
@@ -101,9 +98,8 @@ def accepted_errors(
     at_once: int = _POINTS_AT_ONCE,
 ) -> Iterator[Accepted]:
     """Points of the truncated law of every box, (n, 4), at least a pixel wide and high in images (n, 2), some rows at a
-    time. `mean` and `covariance` are those of e_x, e_y, e_w, e_h before truncation in pixels, (4,) or (n, 4), and px²,
-    (4, 4) or (n, 4, 4). `points` for each box is a power of two. `at_once` is the number of points of all boxes at a
-    time; the points do not depend on it, but sums over parts may."""
+    time. `mean` and `covariance` are those of errors before truncation in pixels, (4,) or (n, 4), and px², (4, 4) or
+    (n, 4, 4). `points` for each box is a power of two. The points do not depend on how many are made `at_once`."""
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals
@@ -124,8 +120,7 @@ def _uniforms(width: int, points: int, start: int, stop: int) -> Array:
     """Uniform numbers of rows start to stop − 1, shape (width, rows, points): the same whatever their boxes are."""
     bits = np.random.PCG64(1)
     bits.advance(start * width)
-    shifts = np.random.Generator(bits).random((stop - start, width))
-    uniforms = _sobol(width, points)[:, None] + shifts.T[..., None]
+    uniforms = _sobol(width, points)[:, None] + np.random.Generator(bits).random((stop - start, width)).T[..., None]
     uniforms -= uniforms >= 1
     uniforms.setflags(write=False)
     return uniforms
@@ -198,8 +193,8 @@ def _draw(
 
 
 def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array) -> tuple[Array, Array]:
-    """Least and greatest error of a component that leaves a pixel, less what is given; both of shape (n, 1) or (n,
-    points). The growth along the component's axis bounds a shift; the growth itself has a lower bound only."""
+    """Least and greatest error of a component that leaves a pixel, less what is given, (n, 1) or (n, points) each.
+    Growth along the component's axis bounds a shift; growth itself has a lower bound only."""
     axis = component % 2
     first, last = boxes[:, axis, None], boxes[:, 2 + axis, None]
     if component >= 2:

@@ -15,9 +15,8 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, out_file
 from modsim3d.core.written import Written
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
-from modsim3d.detector.file.reading import find_detector, load_detector, parse_detector
+from modsim3d.detector.file.reading import detector_text, find_detector, load_detector, parse_detector
 from modsim3d.detector.file.schema import with_covariance
-from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed

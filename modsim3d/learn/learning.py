@@ -12,8 +12,7 @@ from typing import Any
 from modsim3d.core.document import Block
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.file.writing import detector_text
+from modsim3d.detector.file.reading import detector_text, parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.labelled_run import labelled_run

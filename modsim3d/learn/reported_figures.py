@@ -15,9 +15,8 @@ from modsim3d.core.document import Block, Document, Heading, Items, Table, Text
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.chain import Detector, target_statistics
-from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.file.reading import detector_text, parse_detector
 from modsim3d.detector.file.schema import Labels
-from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets, are_false
 from modsim3d.formats.labelled import EVERYWHERE

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.detector.file.writing import detector_text
+from modsim3d.detector.file.reading import detector_text
 from modsim3d.io.atomic_write import json_text
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.errors import InputError
-from modsim3d.detector.file.reading import content_of, parse_detector
-from modsim3d.detector.file.writing import detector_text
+from modsim3d.detector.file.reading import content_of, detector_text, parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.validation import kind_of, shown
 from modsim3d.scene.parts import SceneParts

@@ -15,13 +15,12 @@ from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.persistence import Persistence, with_share
 from modsim3d.detector.records import TRUE
-from modsim3d.verify.class_checks import correlation_note, turn_pairs
+from modsim3d.verify.class_checks import LAGS, correlation_note, turn_pairs
 from modsim3d.verify.error_fit import MomentTable, StateErrors, StateFit, fit_step, fitted_law
 from modsim3d.verify.error_parameters import LIKELIHOODS, PLAIN, ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.score_checks import LAGS
 
 MIN_PAIRS = 100
 _REPLAYS, _REPLAYS_AT_ONCE = 300, 50
@@ -129,8 +128,7 @@ def box_persistence(
     if len(now) < MIN_PAIRS:
         return None
     # A wrong mean or spread would look like a correlation, so the sample's own are removed.
-    whitened = np.concatenate([_own_scale(fit.step.whitened) for fit in fits])
-    product = float(_products(whitened, now, before))
+    product = float(_products(np.concatenate([_own_scale(fit.step.whitened) for fit in fits]), now, before))
     if replayed is None:
         asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
     else:
@@ -172,8 +170,7 @@ def _shares_left(fits: list[StateFit], now: Indices, before: Indices) -> Array:
     E[w′ zᵀ]ᵀ) where z and z′ are correlated by a small ρ."""
     gains = []
     for fit in fits:
-        inverse = np.linalg.inv(_root(fit.law))
-        left = np.swapaxes(np.linalg.inv(fit.step.roots), 1, 2) @ inverse.T
+        left = np.swapaxes(np.linalg.inv(fit.step.roots), 1, 2) @ np.linalg.inv(_root(fit.law)).T
         share = fit.law.likelihood.latent_share(fit.law.distribution)
         gains.append(share * fit.step.acceptance[:, None, None] * left)
     gain = np.concatenate(gains)
@@ -243,8 +240,7 @@ def replayed_errors(law: ErrorParameters, sample: StateErrors, latent: Array, rn
 
 def _root(law: ErrorParameters) -> Array:
     """Matrix from latent numbers to standardised errors, by the root of the file's covariance, shape (4, 4)."""
-    covariance = law.correlation * np.outer(law.std, law.std)
-    return symmetric_root(covariance) / law.std[:, None]
+    return symmetric_root(law.correlation * np.outer(law.std, law.std)) / law.std[:, None]
 
 
 MIN_DETECTIONS = 150  # box errors of a state with fewer true detections are not tested
@@ -290,8 +286,7 @@ def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> lis
             for parameter in _state_checks(model.states[s], evidence, _rows(model, evidence, s), fit, errors)
         ]
     persistence = box_persistence(model, evidence, found, replayed)
-    of_one_time = model.persistence.box is None
-    key = "persistence.box_s" if of_one_time else "persistence.box: correlation, 1 frame apart"
+    key = "persistence.box_s" if model.persistence.box is None else "persistence.box: correlation, 1 frame apart"
     return [
         *parameters,
         _box_check(evidence),
@@ -301,7 +296,6 @@ def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> lis
 
 
 def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
-    """Rows of the true detections of a state whose errors are tested."""
     if _limited(model, evidence, s):
         return np.empty(0, dtype=np.int64)
     of_state = evidence.instances.state[evidence.true_detections.instance] == s
@@ -323,8 +317,7 @@ def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
         return usable
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
     narrow = rule.looks_long(truth[found.instance]) & (sizes(found.boxes_px)[:, 0] < MIN_SPLIT_PX)
-    left_out = np.random.default_rng(0).random(len(narrow)) < rule.splits
-    return usable & ~(narrow & left_out)
+    return usable & ~(narrow & (np.random.default_rng(0).random(len(narrow)) < rule.splits))
 
 
 def _is_singular(state: PerformanceState) -> bool:
@@ -395,7 +388,6 @@ def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) ->
 
 
 def _box_check(evidence: Evidence) -> Parameter:
-    """Whether every box is its truth moved by its error and clipped to the image."""
     found, instances = evidence.true_detections, evidence.instances
     single = np.flatnonzero(found.kind == TRUE)
     rows = found.instance[single]

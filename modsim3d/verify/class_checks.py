@@ -1,7 +1,7 @@
 """Checks of dropout and class: confusion matrices, the effects on misses, and how long misses persist."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +13,112 @@ from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative, log2
 from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, FactorTable, Slope
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.persistence import Persistence
+from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.verify.evidence import MERGED, Evidence, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure, Rate
 from modsim3d.verify.parameters import Parameter
-from modsim3d.verify.score_checks import memory_checks, off_diagonal
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+LAGS = (1, 4, 16)  # numbers of frames between the misses whose correlation is tested
+MIN_MISSES = 30  # misses, and finds, below which their correlation is not tested
+_REPLAYS, _AT_A_TIME = 200, 50
+
+
+def miss_covariance(first: Array, second: Array, correlation: Array) -> Array:
+    """Covariance of misses of chances (m,) whose scores have a correlation from 0 to 1, shape (m,). The derivative of
+    the bivariate normal distribution function by the correlation is its density (Plackett (1954), "A reduction formula
+    for normal multivariate integrals"), integrated over the arc sine of the correlation."""
+    a, b = (special.ndtri(np.clip(chance, 1e-12, 1 - 1e-12)) for chance in (first, second))
+    reach = np.arcsin(np.clip(correlation, 0, 1 - 1e-9)) / 2
+    total = np.zeros(len(a))
+    for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
+        angle = reach * (1 + node)
+        total += weight * np.exp(-(a**2 + b**2 - 2 * a * b * np.sin(angle)) / (2 * np.cos(angle) ** 2))
+    return reach * total / (2 * np.pi)
+
+
+def sum_over_pairs(tracks: Indices, times_s: Array, value: Callable[[Indices, Indices, Array], Array]) -> Array:
+    """Sums of values of all pairs of rows of one track, a vessel in a camera, shape (k,). Rows (n, c) of `tracks` are
+    equal in one track; times have shape (n,). `value` takes later and earlier rows and the seconds between, shapes
+    (m,), to values (m, k). Their mean is taken at some lags: it changes little between them, as memory only fades."""
+    order = np.lexsort((times_s, *tracks.T[::-1]))
+    _, series = np.unique(tracks[order], axis=0, return_inverse=True)
+    series, count = series.ravel(), np.bincount(series.ravel())
+    most = int(count.max(initial=1))
+    lags, means = [0], [np.zeros(value(order[:1], order[:1], times_s[:1]).shape[1])]
+    for lag in sorted({base << power for base in (2, 3) for power in range(most.bit_length())} | {1}):
+        near = np.flatnonzero(series[lag:] == series[:-lag]) if lag < most else np.empty(0, dtype=np.int64)
+        if len(near):
+            later, earlier = order[near + lag], order[near]
+            lags.append(lag)
+            means.append(value(later, earlier, times_s[later] - times_s[earlier]).mean(axis=0))
+    every = np.arange(1, most)
+    pairs = np.array([np.maximum(count - lag, 0).sum() for lag in every])
+    columns = np.array(means).reshape(len(lags), -1).T
+    return np.array([float((pairs * np.interp(every, lags, column)).sum()) for column in columns])
+
+
+def off_diagonal(tracks: Indices, times_s: Array, score: LatentScore, chance: Array, amount: Array) -> float:
+    """Part of the variance of a sum of amounts of misses (n,) that their correlation along tracks makes."""
+
+    def value(later: Indices, earlier: Indices, apart_s: Array) -> Array:
+        covariance = miss_covariance(chance[later], chance[earlier], score.correlation(apart_s))
+        return (amount[later] * amount[earlier] * covariance)[:, None]
+
+    if len(chance) < 2:
+        return 0.0
+    return 2 * float(sum_over_pairs(tracks, times_s, value).sum())
+
+
+def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: Array, missed: Array) -> list[Parameter]:
+    """Correlation of misses some frames apart, which strays as simulated scores do. Rows (n, c) of `tracks` are equal
+    for a vessel in a camera; times, chances of a miss, and misses (1 or 0) are (n,)."""
+    if not len(chance):
+        return []
+    order = np.lexsort((times_s, *tracks.T[::-1]))
+    _, series = np.unique(tracks[order], axis=0, return_inverse=True)
+    series, times_s, chance = series.ravel(), times_s[order], chance[order]
+    spread = chance * (1 - chance)
+    pairs = [np.flatnonzero((series[lag:] == series[:-lag]) & (spread[lag:] * spread[:-lag] > 0)) for lag in LAGS]
+    rng = np.random.default_rng(len(series))
+    draws = (_scores(series, times_s, score, rng, _AT_A_TIME) for _ in range(_REPLAYS // _AT_A_TIME))
+    replayed = np.concatenate([_products(scores < chance, chance, pairs) for scores in draws])
+    found = _products((missed[order] > 0)[None], chance, pairs)[0]
+    parameters = []
+    for k, (lag, near) in enumerate(zip(LAGS, pairs, strict=True)):
+        later, measure = near + lag, None
+        if float(spread[near].sum()) >= MIN_MISSES:
+            apart_s, whole = times_s[later] - times_s[near], float(np.sqrt(spread[later] * spread[near]).sum())
+            expected = float(miss_covariance(chance[later], chance[near], score.correlation(apart_s)).sum())
+            strays, error = replayed[:, k] - replayed[:, k].mean(), float(replayed[:, k].std(ddof=1))
+            skewness = float((strays**3).mean()) / error**3 if error > 0 else 0.0
+            if error > 0:
+                numbers = found[k] / whole, expected / whole, error / whole
+                measure = Estimate(*numbers, len(near), skewness, possible=CORRELATION)
+        name = f"persistence.score: correlation of misses, {lag} {'frame' if lag == 1 else 'frames'} apart"
+        parameters.append(Parameter(name, DetectorPart.CLASS, measure, in_file=False))
+    return parameters
+
+
+def _products(missed: Mask, chance: Array, pairs: Sequence[Indices]) -> Array:
+    """Sums of products of residuals of misses (r, n) at each lag, shape (r, lags)."""
+    rest = missed - chance
+    sums = [(rest[:, near + lag] * rest[:, near]).sum(axis=1) for lag, near in zip(LAGS, pairs, strict=True)]
+    return np.stack(sums, axis=1)
+
+
+def _scores(series: Indices, times_s: Array, score: LatentScore, rng: np.random.Generator, count: int) -> Array:
+    """Probabilities of scores of rows in order of series and time, as the detector draws them, shape (count, n)."""
+    apart_s = np.where(np.diff(series, prepend=-1) > 0, np.inf, np.diff(times_s, prepend=0.0))
+    total = np.sqrt(score.vessel_share) * rng.standard_normal((count, int(series.max()) + 1))[:, series]
+    total += np.sqrt(score.white_share) * rng.standard_normal(total.shape)
+    for share, time_s in zip(score.shares, score.times_s, strict=True):
+        decay, part = np.exp(-apart_s / time_s), np.zeros(count)
+        for row, kept in enumerate(decay.tolist()):
+            part = kept * part + math.sqrt(1 - kept * kept) * rng.standard_normal(count)
+            total[:, row] += math.sqrt(share) * part
+    return np.asarray(special.ndtr(total))
+
 
 _FORGOTTEN = 10.0  # correlation times after which a correlation is neglected: 5e-5 of it is left
 
@@ -50,16 +151,14 @@ def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
     rows = np.flatnonzero(ran)
     tracks, _ = instances.tracks(rows)
     order = np.lexsort((turn[rows], *tracks.T[::-1]))
-    same = (tracks[order][1:] == tracks[order][:-1]).all(axis=1)
-    follows = same & (np.diff(turn[rows[order]]) == 1)
+    follows = (tracks[order][1:] == tracks[order][:-1]).all(axis=1) & (np.diff(turn[rows[order]]) == 1)
     before = np.full(len(turn), -1)
     before[rows[order[1:][follows]]] = rows[order[:-1][follows]]
     return before
 
 
 def turn_pairs(model: DetectorModel, evidence: Evidence, instance: Indices) -> tuple[Indices, Indices]:
-    """Pairs of detections of one vessel, one turn of the detector apart: places among m detections, shapes (k,).
-    `instance` is the row of `Instances` of each detection, shape (m,)."""
+    """Pairs (k,) of detections of one vessel, a turn apart, as places, given rows of `Instances` of detections (m,)."""
     place = np.full(len(evidence.instances.state) + 1, -1)  # the last for −1: no turn before
     place[instance] = np.arange(len(instance))
     before = place[turn_before(model, evidence)[instance]]
@@ -68,30 +167,23 @@ def turn_pairs(model: DetectorModel, evidence: Evidence, instance: Indices) -> t
 
 
 def inflation(
-    tracks: Indices,
-    times_s: Array,
-    correlation_s: float,
-    variances: Array,
-    covariance: Callable[[Indices, Indices], Array],
+    tracks: Indices, times_s: Array, lasts_s: float, variances: Array, covariance: Callable[[Indices, Indices], Array]
 ) -> float:
     """Variance of the sum of rows whose noise persists, over that of independent rows with variances of shape (n,). Two
-    rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / correlation_s). `covariance` is
+    rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / lasts_s). `covariance` is
     that of later and earlier rows that have kept it."""
     alone = float(variances.sum())
-    if correlation_s <= 0 or alone <= 0:
+    if lasts_s <= 0 or alone <= 0:
         return 1.0
     total = alone
-    for later, earlier, apart in lag_pairs(tracks, times_s, correlation_s):
-        total += 2 * float((np.exp(-apart / correlation_s) * covariance(later, earlier)).sum())
+    for later, earlier, apart in lag_pairs(tracks, times_s, lasts_s):
+        total += 2 * float((np.exp(-apart / lasts_s) * covariance(later, earlier)).sum())
     return total / alone
-
-
-_NODES = 32
 
 
 def at_each(share: float, *bounds: Array) -> Iterator[tuple[float, tuple[Array, ...]]]:
     """Weights of values that a vessel keeps, and bounds of uniform numbers there, (n,): Gauss-Hermite quadrature."""
-    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(32)
     latent = [special.ndtri(np.clip(bound, 0, 1)) for bound in bounds]
     for node, weight in zip(nodes.tolist(), (weights / weights.sum()).tolist(), strict=True):
         kept = np.sqrt(share) * node
@@ -160,6 +252,9 @@ def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutco
     return ExpectedOutcomes(through, through & (instances.outcome != MERGED), ends)
 
 
+_BY_LOOKS = "asked: the mean over the chances that there were, by what they look like"
+
+
 def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """Every free entry of every state's confusion matrix; of a column with two entries only the dropout."""
     expected = expected_outcomes(model, evidence)
@@ -178,17 +273,9 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
                 value = float(state.confusion[row, column])
                 entry = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
-                said = note or _asked_note(model, entry)
+                said = note or (_BY_LOOKS if entry is not None and model.dropout.every_effect else "")
                 parameters.append(Parameter(name, DetectorPart.CLASS, entry, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, expected, note)]
-
-
-def _asked_note(model: DetectorModel, measure: Measure | None) -> str:
-    """A note on what the asked number is where it is not the file's own."""
-    if measure is None:
-        return ""
-    looks = "asked: the mean over the chances that there were, by what they look like"
-    return looks if model.dropout.every_effect else ""
 
 
 def _entry(
@@ -307,12 +394,9 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     return Estimate(asked_kappa + step, asked_kappa, error, len(now), skewness, possible=CORRELATION)
 
 
-MIN_MISSES = 30
-
-
 def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
-    """Each slope, and each range of each table, in the states where it holds, with the rates of all of them free. Given
-    which instances the gates let pass and the asked probability of a miss, shapes (n,)."""
+    """Each slope, and each range of each table, in the states where it holds, with all rates free, given the instances
+    that the gates let pass and the asked probability of a miss, (n,)."""
     parameters = []
     for whose, states, effect in _held_effects(model):
         check = EFFECT_CHECKS.get(model_name(EFFECTS, effect))
@@ -376,8 +460,7 @@ def _effect(
     if model.persistence.score is not None:
         variance += off_diagonal(*instances.tracks(rows), model.persistence.score, p, free)
     elif model.persistence.class_vessel_share:
-        bounds = 1 - p, np.ones(len(p))
-        variance = variance_of_sum(*instances.tracks(rows), model.persistence, bounds, free)
+        variance = variance_of_sum(*instances.tracks(rows), model.persistence, (1 - p, np.ones(len(p))), free)
     elif model.persistence.class_s > 0:
         for later, earlier, apart in lag_pairs(*instances.tracks(rows), model.persistence.class_s):
             kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]

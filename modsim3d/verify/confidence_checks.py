@@ -14,11 +14,10 @@ from modsim3d.detector.chain import DetectorPart, model_name
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores, StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import LatentScore, Persistence
-from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_pairs
+from modsim3d.verify.class_checks import correlation_note, lag_pairs, sum_over_pairs, turn_pairs
 from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.parameters import Law, Parameter
-from modsim3d.verify.score_checks import sum_over_pairs
 
 MIN_PAIRS = 100
 _STEP, _MIN_LEVEL = 1e-4, 1e-12
@@ -47,8 +46,7 @@ class KeptScores:
 
             def value(later: Indices, earlier: Indices, apart_s: Array) -> Array:
                 kept = of_score(apart_s)[:, None]
-                squares = kept**2 * of_square[later] * of_square[earlier]
-                return kept * of_mean[later] * of_mean[earlier] + squares
+                return kept * of_mean[later] * of_mean[earlier] + kept**2 * of_square[later] * of_square[earlier]
 
             total = total + 2 * sum_over_pairs(self.tracks, self.times_s, value)
         elif self.score is None:
@@ -72,8 +70,7 @@ class KeptScores:
 
 
 def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
-    """Bounds of the normal number behind the confidence of each true detection, NaN without a law, shapes (m,). They
-    are equal where the number is known. A clipped confidence leaves it open beyond a bound."""
+    """Bounds (m,) of the normal number behind each true detection's confidence, equal unless clipped; NaN: no law."""
     true = evidence.true_detections
     low, high = (np.full(len(true.confidence), np.nan) for _ in range(2))
     for s, state in enumerate(model.states):
@@ -125,7 +122,7 @@ _LEVELS = 100  # means at which the integrals are computed; those between are in
 @dataclass(frozen=True, eq=False)
 class Clipped:
     """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients.
-    `kept` says which of them have kept a part of their deviation from one another; none have if None."""
+    `kept` are those that keep a part of their deviation from one another, None for none."""
 
     scores: Array
     design: Array
@@ -160,10 +157,8 @@ class Clipped:
         """Variance of each estimate over that from independent numbers, in the order of `measures`."""
         if self.kept is None:
             return np.ones(len(covariance))
-        design = np.insert(self.design, 1, 0.0, axis=1)
-        of_mean = (design @ covariance) * np.sqrt(information[:, :1])
-        of_std = np.sqrt(information[:, 2:]) * covariance[1]
-        return self.kept.inflation(of_mean, of_std)
+        of_mean = (np.insert(self.design, 1, 0.0, axis=1) @ covariance) * np.sqrt(information[:, :1])
+        return self.kept.inflation(of_mean, np.sqrt(information[:, 2:]) * covariance[1])
 
     def _fitted(self, value: Array) -> Array:
         for _ in range(_STEPS):
@@ -195,8 +190,7 @@ class Clipped:
         rows = np.linspace(0, len(means) - 1, min(len(means), 64)).astype(np.int64)
         third = np.zeros(len(total))
         for row, chances, each in zip(rows, *self._laws(means[rows], std), strict=True):
-            influence = (design[row] * np.where(of_std, each[:, 1:], each[:, :1])) @ covariance
-            third += chances @ influence**3
+            third += chances @ ((design[row] * np.where(of_std, each[:, 1:], each[:, :1])) @ covariance) ** 3
         return covariance @ total, covariance, third * len(means) / len(rows)
 
     def _information(self, means: Array, std: float) -> Array:

@@ -35,13 +35,11 @@ def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator
     covariances = law.correlation * stds[:, :, None] * stds[:, None, :]
     for part in accepted_errors(boxes_px, images_px, means, covariances, law.distribution):
         errors = np.ascontiguousarray(part.errors)  # the order in memory decides the last digits of sums over points
-        standard = (errors - means[part.rows, None]) / stds[part.rows, None]
-        yield part, law.statistics(standard)
+        yield part, law.statistics((errors - means[part.rows, None]) / stds[part.rows, None])
 
 
 class MomentTable:
-    """Expectations of the statistics and of their products, box by box. They are kept for each law and box, so many
-    seeds over one truth cost hardly more than one."""
+    """Expectations of the statistics and their products for each law and box, kept for other seeds over one truth."""
 
     def __init__(self) -> None:
         """Start empty."""
@@ -111,8 +109,7 @@ class FitStep:
 
 def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> FitStep | None:
     """One step of the fit from a law to a sample of the table's truth; None where errors miss a parameter."""
-    boxes = sample.boxes_px[sample.rows]
-    weights, gains = law.score_weights(boxes)
+    weights, gains = law.score_weights(sample.boxes_px[sample.rows])
     expected, products, acceptance = table.of(law, sample.boxes_px, sample.images_px, sample.rows)
     covariances = products - expected[:, :, None] * expected[:, None, :]
     if np.all(gains == 1):
@@ -142,8 +139,7 @@ def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> F
 def _inverse_roots(covariances: Array) -> Array:
     """Lower triangular matrices that make errors of such covariances independent, shape (n, 4, 4)."""
     scale = np.einsum("nii->n", covariances)[:, None, None] / 4
-    safe = covariances + 1e-9 * np.maximum(scale, 1e-12) * np.eye(4)
-    return np.linalg.inv(np.linalg.cholesky(safe))
+    return np.linalg.inv(np.linalg.cholesky(covariances + 1e-9 * np.maximum(scale, 1e-12) * np.eye(4)))
 
 
 def _third_cumulants(law: ErrorParameters, sample: StateErrors, weights: Array, covariance: Array) -> Array:
@@ -175,8 +171,7 @@ def fitted_law(law: ErrorParameters, step: FitStep, sample: StateErrors) -> Erro
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
-    """The box errors of a performance state: the law asked for, the law found, and the step between them. `rows` are
-    the rows (n,) of `TrueDetections` that the sample is of."""
+    """Box errors of a state: the law asked for, the law found, the step between, and the sample's detections (n,)."""
 
     law: ErrorParameters
     found: ErrorParameters
@@ -297,8 +292,7 @@ def capped_poisson(means: Array, caps: Indices) -> tuple[Array, Array, Array]:
 def n_transient(evidence: Evidence) -> Indices:
     """Number of false positives of each image that are no second boxes and do not persist, shape (s,)."""
     false = evidence.false_detections
-    transient = false.frame_row[false.kind == FALSE_POSITIVE]
-    return np.bincount(transient, minlength=len(evidence.frames.state))
+    return np.bincount(false.frame_row[false.kind == FALSE_POSITIVE], minlength=len(evidence.frames.state))
 
 
 def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
@@ -347,5 +341,4 @@ def _standardised(
 def _centred(values: Array, variance: Array, state: Indices) -> Array:
     """Values less what a wrong rate of their state explains, shapes (n,)."""
     weight = np.bincount(state, variance)
-    slope = np.bincount(state, values) / np.where(weight > 0, weight, 1)
-    return values - slope[state] * variance
+    return values - (np.bincount(state, values) / np.where(weight > 0, weight, 1))[state] * variance

@@ -22,7 +22,7 @@ _MAX_FREEDOM, _LEVELS = 1e4, 400
 
 class ErrorLikelihood:
     """The log-likelihood of standardised errors of one kind of distribution; this one of normal errors. `shape_names`
-    are the keys of the s numbers that the distribution has of its own; a normal one has none."""
+    are the keys of the s numbers that are the distribution's own."""
 
     shape_names: tuple[str, ...] = ()
 
@@ -84,8 +84,7 @@ class StudentTLikelihood(ErrorLikelihood):
         nu = distribution.degrees_of_freedom
         weight = (nu + 4) / (nu - 2 + scale**2 * length)
         with_latent = float((weight * scale * length).mean()) / 4
-        variance = float((weight**2 * scale**2 * length).mean()) / 4
-        return with_latent / variance
+        return with_latent / (float((weight**2 * scale**2 * length).mean()) / 4)
 
 
 LIKELIHOODS: Mapping[str, ErrorLikelihood] = {"normal": ErrorLikelihood(), "student_t": StudentTLikelihood()}
@@ -111,8 +110,7 @@ def directions(correlation: Array) -> Array:
         else:
             i, j = ERROR_PAIRS[row - 4]
             change[i, j] = change[j, i] = 1
-        quadratic = precision @ change @ precision
-        weights[4 + row, 4:] = np.where(FIRST == SECOND, 0.5, 1) * quadratic[FIRST, SECOND]
+        weights[4 + row, 4:] = np.where(FIRST == SECOND, 0.5, 1) * (precision @ change @ precision)[FIRST, SECOND]
     return weights
 
 
@@ -212,7 +210,6 @@ def parameter_names() -> list[str]:
 
 
 def _definite(correlation: Array) -> Array:
-    """A correlation matrix, or the nearest one where a step has left what correlations can be."""
     values, vectors = np.linalg.eigh(correlation)
     if values[0] >= _MIN_EIGENVALUE:
         return correlation

@@ -88,7 +88,6 @@ def _places_and_sizes(frames: records.CameraFrames, frame: Indices, boxes_px: Ar
 
 
 def _distance(found: Array, expected: Array) -> float:
-    """Greatest distance between two empirical distribution functions."""
     places = np.concatenate([found, expected])
     shares = [np.searchsorted(np.sort(each), places, side="right") / len(each) for each in (found, expected)]
     return float(np.abs(shares[0] - shares[1]).max())
@@ -358,8 +357,7 @@ _SAMPLED = 20_000  # vessels of which it is drawn how often a false detection on
 
 
 def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
-    """Share, stay and place of false detections on vessels. The image's edge leaves some out and cuts others: how many,
-    and how, is drawn anew around the same vessels."""
+    """Share, stay and place of false detections on vessels; what the image's edge leaves out and cuts is drawn anew."""
     law, false = seen.model.false_positives.on_vessels, seen.evidence.false_detections
     name, lying = "false_positives.on_vessels", np.flatnonzero(false.kind == records.ON_VESSEL)
     if law is None:
@@ -371,8 +369,7 @@ def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     rows = false.instance[lying]
     shown[rows], place[rows] = True, _place_on(instances.boxes_px[rows], false.boxes_px[lying])
     chosen = rng.choice(passed, min(len(passed), _SAMPLED), replace=False)
-    drawn = _drawn_on(law, instances, np.repeat(chosen, _DRAWS_EACH), rng)
-    inside = len(drawn) / max(len(chosen) * _DRAWS_EACH, 1)
+    inside = len(_drawn_on(law, instances, np.repeat(chosen, _DRAWS_EACH), rng)) / max(len(chosen) * _DRAWS_EACH, 1)
     before = turn_before(seen.model, seen.evidence)
     later = np.flatnonzero((before >= 0) & shown[before])
     kept = np.zeros(len(later))

@@ -10,11 +10,10 @@ from modsim3d.core.document import Figure
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
-from modsim3d.verify.class_checks import at_each, miss_probabilities
+from modsim3d.verify.class_checks import at_each, miss_covariance, miss_probabilities
 from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.parameters import TestResult, Verification
-from modsim3d.verify.score_checks import miss_covariance
 from modsim3d.view.pages import charts
 
 
@@ -27,8 +26,7 @@ def run_lengths(evidence: Evidence) -> Indices:
     for row in order[missed[order] & (instances.before[order] >= 0)]:
         length[row] += length[instances.before[row]]
     goes_on = np.zeros(len(missed), dtype=bool)
-    follows = np.flatnonzero(missed & (instances.before >= 0))
-    goes_on[instances.before[follows]] = True
+    goes_on[instances.before[np.flatnonzero(missed & (instances.before >= 0))]] = True
     return np.bincount(length[missed & ~goes_on], minlength=2)
 
 
@@ -116,8 +114,7 @@ def error_scatters(verification: Verification, model: DetectorModel, evidence: E
             continue
         boxes = evidence.instances.boxes_px[evidence.true_detections.instance[rows]]
         errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.true_detections.errors_px[rows])
-        path = f"states.{state.name}.box_error"
-        laws = [_law(found, path, measured) for measured in (False, True)]
+        laws = [_law(found, f"states.{state.name}.box_error", measured) for measured in (False, True)]
         unit = "sides" if state.box_error.relative else "px"
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "

@@ -61,13 +61,11 @@ def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> 
 
 
 def lag_sums(values: Array, variance: Array, third: Array, series: Indices, step: Indices) -> PairSums:
-    """Sums over pairs of rows of one series, for each number of steps between them from 0 on. Values and third moments
-    have shape (n, c), the others (n,)."""
+    """Sums of pairs of rows of one series, by the steps between, from 0; values, third moments (n, c), others (n,)."""
     order = np.lexsort((step, series))
     ends = np.flatnonzero(np.diff(series[order], append=-2))
     spans = [rows for rows in np.split(order, ends[:-1] + 1) if len(rows) > 1]
-    longest = max((int(step[rows[-1]] - step[rows[0]]) + 1 for rows in spans), default=1)
-    sums = np.zeros((4, longest))
+    sums = np.zeros((4, max((int(step[rows[-1]] - step[rows[0]]) + 1 for rows in spans), default=1)))
     components = values.shape[1]
     for rows in spans:
         place = step[rows] - step[rows[0]]
@@ -84,8 +82,7 @@ def _lagged(place: Indices, columns: Array, length: int) -> Array:
     size = fft.next_fast_len(2 * length, real=True)
     dense = np.zeros((size, columns.shape[1]))
     dense[place] = columns
-    power = (np.abs(fft.rfft(dense, axis=0)) ** 2).sum(axis=1)
-    return np.asarray(fft.irfft(power, size)[:length])
+    return np.asarray(fft.irfft((np.abs(fft.rfft(dense, axis=0)) ** 2).sum(axis=1), size)[:length])
 
 
 MIN_STRETCHES = 20  # independent stretches with one false positive each, below which their spread is not tested
@@ -296,7 +293,6 @@ def _earlier_times(residuals: Residuals, evidence: Evidence, memory: Memory) -> 
 
 
 def _estimate(sums: PairSums, k: int, inflation: float, trials: int = 1) -> Strongest:
-    """The correlation of the k-th kind of pairs."""
     error = math.sqrt(sums.variance[k] * inflation)
     return Strongest(
         measured=float(sums.product[k] / sums.spread[k]),
@@ -310,7 +306,6 @@ def _estimate(sums: PairSums, k: int, inflation: float, trials: int = 1) -> Stro
 
 
 def _between_cameras(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
-    """Correlation of what belongs to the same vessel at the same step."""
     ours = residuals.of_vessels()
     step = evidence.frames.step[ours.image]
     return _of_groups(ours, step * (int(ours.vessel.max(initial=0)) + 1) + ours.vessel, memory), ""

@@ -301,8 +301,7 @@ class DiscoveryRate:
         whole = math.ceil(mean)
         few = _first(whole, lambda k: poisson_tails(whole - k, mean)[0] <= alpha / 2)
         if few is not None:
-            mean_below = float(special.gammainccinv(whole - few + 1, POWER))
-            below = self.asked - self._share(mean_below * self.inflation)
+            below = self.asked - self._share(float(special.gammainccinv(whole - few + 1, POWER)) * self.inflation)
         return below, above
 
 

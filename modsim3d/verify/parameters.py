@@ -15,8 +15,8 @@ from modsim3d.verify.measures import ANY, POWER, Estimate, Interval, Measure, No
 
 @dataclass(frozen=True, eq=False)
 class Occupancy:
-    """Share of the frames that a state takes, against the law of a Markov chain. `found` is the number of its frames,
-    `law` the probability of each number from 0 on, shape (frames + 1,)."""
+    """Share of the frames that a state takes, against the law of a Markov chain: the probability of each number of
+    frames from 0 on, shape (frames + 1,)."""
 
     found: int
     law: Array
@@ -76,8 +76,7 @@ class Law:
 
     @classmethod
     def of(cls, values: Array, quantiles: Array) -> Law:
-        """The distance of values from a law that is straight between evenly spaced quantiles, shapes (n,) and (k,).
-        Where the law has steps, the test is cautious."""
+        """Distance of values (n,) from a law straight between evenly spaced quantiles (k,); cautious at its steps."""
         share, steps = np.linspace(0, 1, len(quantiles)), np.flatnonzero(np.diff(quantiles) > 0)
         ordered = np.sort(values)
         # At equal quantiles the distribution function is the last share from above, and the first from below.
@@ -182,8 +181,7 @@ def _strength(verdict: TestResult) -> float:
 
 def judge(parameters: Sequence[Parameter]) -> Verification:
     """Verdicts at a level such that an honest run has one against it with probability `OVERALL_ALPHA` at most."""
-    tests = sum(parameter.measure is not None for parameter in parameters)
-    alpha = OVERALL_ALPHA / max(tests, 1)
+    alpha = OVERALL_ALPHA / max(sum(parameter.measure is not None for parameter in parameters), 1)
     return Verification(tuple(_verdict(parameter, alpha) for parameter in parameters), alpha)
 
 
@@ -196,8 +194,7 @@ def _verdict(parameter: Parameter, alpha: float) -> TestResult:
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
     low, high = measure.possible if isinstance(measure, Estimate) else ANY
-    shown = (*measure.interval(alpha), measure.measured)
-    start, end, measured = (min(max(value, low), high) for value in shown)
+    start, end, measured = (min(max(value, low), high) for value in (*measure.interval(alpha), measure.measured))
     below, above = measure.noticed(alpha)
     noticed = (
         None if below is None or measure.asked - below < low else below,

@@ -24,19 +24,11 @@ from modsim3d.runs.files.stored_tables import detections_of, truth_of
 from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.verify import parameters
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.figures import error_scatters, miss_lengths, reliability, timelines
 from modsim3d.verify.measures import Exact
-from modsim3d.verify.parameters import (
-    DIFFERS,
-    FALLS_SHORT,
-    OBEYS,
-    OVERALL_ALPHA,
-    UNCHECKED,
-    UNTESTED,
-    TestResult,
-    Verification,
-)
+from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, OVERALL_ALPHA, UNCHECKED, UNTESTED, Verification
 from modsim3d.verify.verification import verify_evidence
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
@@ -46,11 +38,10 @@ FILES = ("verify.json", "verify.html")
 HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
 
 
-def row_of(verdict: TestResult) -> tuple[str, ...]:
+def row_of(verdict: parameters.TestResult) -> tuple[str, ...]:
     """A verdict as cells under `HEADER`."""
     parameter = verdict.parameter
-    unit = f" {parameter.unit}" if parameter.unit else ""
-    asked, promised = _number(verdict.asked) + unit, parameter.promised
+    asked, promised = _number(verdict.asked) + (f" {parameter.unit}" if parameter.unit else ""), parameter.promised
     if verdict.measured is None or verdict.interval is None:
         return parameter.name, asked if math.isfinite(verdict.asked) else "–", "–", "–", "–", verdict.verdict
     if isinstance(parameter.measure, Exact):
@@ -59,11 +50,6 @@ def row_of(verdict: TestResult) -> tuple[str, ...]:
     asked = asked if promised is None else f"{_number(promised)}, by rule {asked}"
     interval = " … ".join(map(_number, verdict.interval))
     return parameter.name, asked, _number(verdict.measured), interval, _noticed(verdict), verdict.verdict
-
-
-def notes_of(verification: Verification) -> list[str]:
-    """Further notes for the reader."""
-    return [f"{name}: {note}" for name, note in named_notes(verification)]
 
 
 def named_notes(verification: Verification) -> list[tuple[str, str]]:
@@ -109,7 +95,7 @@ def _number(value: float) -> str:
     return f"{value:.4g}".replace("-", "−").replace("inf", "∞")
 
 
-def _noticed(verdict: TestResult) -> str:
+def _noticed(verdict: parameters.TestResult) -> str:
     below, above = verdict.noticed
     if below is not None and above is not None and abs(below - above) <= 0.1 * above:
         return f"± {_number(max(below, above))}"
@@ -134,7 +120,7 @@ def report_data(verified: VerifiedRun) -> dict[str, Any]:
     }
 
 
-def _entry(verdict: TestResult) -> dict[str, Any]:
+def _entry(verdict: parameters.TestResult) -> dict[str, Any]:
     parameter, measure = verdict.parameter, verdict.parameter.measure
     return {
         "name": parameter.name,
@@ -237,7 +223,6 @@ def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
 
 
 def _results(verification: Verification) -> list[tuple[str, str, str]]:
-    """The tiles: how many tests passed, failed, and could not be made."""
     count = Counter(verdict.verdict for verdict in verification.verdicts)
     unmade = count[UNTESTED] + count[UNCHECKED]
     tested = len(verification.verdicts) - unmade
@@ -253,7 +238,7 @@ def _results(verification: Verification) -> list[tuple[str, str, str]]:
 
 def _groups(verification: Verification) -> Iterator[Block]:
     """The tests of each part of the detector, folded; those that fail stand at the top of the page too."""
-    groups: dict[str, list[TestResult]] = {}
+    groups: dict[str, list[parameters.TestResult]] = {}
     for verdict in verification.verdicts:
         groups.setdefault(verdict.parameter.group, []).append(verdict)
     for name, verdicts in groups.items():
@@ -269,7 +254,7 @@ def _groups(verification: Verification) -> Iterator[Block]:
         yield Fold(title, [_table(verdicts)], where=Where.PAGE | Where.FULL)
 
 
-def _table(verdicts: Sequence[TestResult], where: Where = Where.TEXT) -> Table:
+def _table(verdicts: Sequence[parameters.TestResult], where: Where = Where.TEXT) -> Table:
     bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
     return Table("", HEADER, [row_of(verdict) for verdict in verdicts], bad, where=where)
 
@@ -301,12 +286,12 @@ class VerifiedRun:
         return self.verification.obeys
 
     @property
-    def verdicts(self) -> tuple[TestResult, ...]:
+    def verdicts(self) -> tuple[parameters.TestResult, ...]:
         """A verdict on each parameter of the detector file, in the order in which the detector works."""
         return self.verification.verdicts
 
     @property
-    def failed(self) -> tuple[TestResult, ...]:
+    def failed(self) -> tuple[parameters.TestResult, ...]:
         """The verdicts against the run."""
         return self.verification.failed
 

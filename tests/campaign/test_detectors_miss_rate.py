@@ -10,7 +10,7 @@ from scipy import stats
 
 from modsim3d import InputError, load_detector, load_scene, run_scene
 from modsim3d.campaign.work.layers import RunLayers
-from modsim3d.detector.file.writing import with_miss_rate
+from modsim3d.detector.file.reading import with_miss_rate
 from modsim3d.runs.files.tables import flags
 from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign

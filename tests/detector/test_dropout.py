@@ -13,8 +13,7 @@ from modsim3d.detector.chain import target_statistics, used_models
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
 from modsim3d.detector.dropout import anchor, size_px
-from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.file.writing import with_miss_rate
+from modsim3d.detector.file.reading import parse_detector, with_miss_rate
 from modsim3d.detector.records import TRUE, CameraFrames, Detections, Gates, Targets
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.formats.video_labels import check_needs

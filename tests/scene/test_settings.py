@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from modsim3d import InputError, detect_run, load_detector, load_scene, run_scene
 from modsim3d.detector.confidence import NormalScores
-from modsim3d.detector.file.writing import detector_text
+from modsim3d.detector.file.reading import detector_text
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import conditions_in

@@ -17,7 +17,7 @@ from modsim3d.verify.confidence_checks import Clipped
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step, fitted_law
 from modsim3d.verify.error_parameters import ErrorParameters, directions
 from modsim3d.verify.figures import expected_run_lengths
-from modsim3d.verify.state_checks import occupancy_law
+from modsim3d.verify.verification import occupancy_law
 from tests.detector_variants import thesis_data
 
 IMAGE_PX = (3600, 2400)

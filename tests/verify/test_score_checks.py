@@ -6,8 +6,7 @@ from scipy import special, stats
 
 from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.verify.box_error_checks import latent_paths
-from modsim3d.verify.class_checks import at_each, variance_of_sum
-from modsim3d.verify.score_checks import memory_checks, miss_covariance, off_diagonal
+from modsim3d.verify.class_checks import at_each, memory_checks, miss_covariance, off_diagonal, variance_of_sum
 
 SCORE = LatentScore(0.3, (0.2, 0.4), (1.0, 6.0))
 VESSELS, TURNS, STEP_S = 60, 80, 0.5

@@ -16,7 +16,7 @@ from modsim3d.verify.false_positive_checks import false_positive_checks
 from modsim3d.verify.figures import run_lengths
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter, judge
-from modsim3d.verify.state_checks import state_checks
+from modsim3d.verify.verification import state_checks
 from modsim3d.verify.verify_run import conclusion, row_of
 from tests.detector_variants import Data, thesis_data, variant
 from tests.scenes import harbour_of_shoeboxes

@@ -2,13 +2,14 @@
 
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import yaml
 from pydantic import ValidationError
 
 from modsim3d.core.arrays import Array, read_only
@@ -17,7 +18,7 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector import false_positives
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, PrecisionRecall, QuantileScores, StateConfidence
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, BoxErrorLaw
-from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope
+from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope, anchor
 from modsim3d.detector.false_positive_placement import Placement
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveOptions
 from modsim3d.detector.file import schema_models
@@ -27,7 +28,7 @@ from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
 from modsim3d.detector.persistence import BoxMemory, LatentScore, Persistence
 from modsim3d.detector.records import Gates
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.strict_text import load_yaml
+from modsim3d.io.strict_text import NUMBERS, load_yaml
 from modsim3d.io.validation import describe, kind_of, nearest, shown
 
 # ---- Which file a detector's path or name stands for ----
@@ -41,9 +42,8 @@ def shipped_detectors() -> dict[str, Path]:
 
 
 def find_detector(detector: StrPath) -> Path:
-    """The detector file that a path or the name of a shipped detector stands for. A file comes before a name. A name
-    with an ending is a path, also where there is no such file. Raises InputError if it is neither, TypeError if it is
-    neither text nor a path."""
+    """The detector file that a path or, if there is no such file, the name of a shipped detector stands for. A name
+    with an ending is a path. Raises InputError if it is neither, TypeError if it is neither text nor a path."""
     path = as_path(detector, "detector", "a path or the name of a shipped detector")
     name, shipped = os.fspath(detector), shipped_detectors()
     try:
@@ -98,8 +98,7 @@ def _false_positive_problems(file: DetectorFile) -> list[str]:
     keys = file.false_positives
     problems = []
     if FALSE_POSITIVE_MODELS[keys.model].side_px is not None:
-        own = ("placement", "far_half_px", "size", "persistence")
-        given = [key for key in own if key in keys.model_fields_set]
+        given = [key for key in ("placement", "far_half_px", "size", "persistence") if key in keys.model_fields_set]
         problems += [
             f"false_positives.{key}: model {keys.model} has its own: choose calibrated or per_image" for key in given
         ]
@@ -175,13 +174,10 @@ def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[
 
 
 def load_detector(path: StrPath) -> DetectorModel:
-    """Read and validate a detector file.
+    """Read and validate a detector file, given as a path or the name of a shipped detector.
 
-        detector = modsim3d.load_detector("my/detector.yaml")
-        detector = modsim3d.load_detector("conditions/foggy_cloudy")
-
-    Args:
-        path: A detector file, or the name of a shipped detector.
+    detector = modsim3d.load_detector("my/detector.yaml")
+    detector = modsim3d.load_detector("conditions/foggy_cloudy")
 
     Raises:
         InputError: The file cannot be read, or something in it is wrong; every problem has its own line.
@@ -366,3 +362,87 @@ def _box_memory(section: schema_models.BoxMemorySection) -> BoxMemory:
     columns = np.zeros((1 + len(section.shares), ERROR_NORMALS + 1))
     columns[:, : len(section.vessel_share)] = [section.vessel_share, *section.shares]
     return BoxMemory(read_only(columns[0]), read_only(columns[1:]), read_only(section.times_s))
+
+
+# ---- The text of a file, with matrices in rows ----
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.2 reads as a number and 1.1, which PyYAML follows, does not, such as `1e3`."""
+
+
+for tag, pattern, first in NUMBERS:
+    _Dumper.add_implicit_resolver(tag, pattern, first)
+
+
+def detector_text(content: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
+    """The YAML of a detector file, after lines of comments."""
+    head = "".join(f"# {line}".rstrip() + "\n" for line in comments)
+    text: str = yaml.dump(
+        dict(content), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=118, allow_unicode=True
+    )
+    return head + text
+
+
+# ---- The miss rate of a detector file, which is no key of it ----
+
+MISS_RATE = "miss_rate"
+
+
+def is_miss_rate(parts: tuple[str, ...]) -> bool:
+    """Whether keys lead to a miss rate: `detector.miss_rate`, or `detector.states.NAME.miss_rate`."""
+    inside = len(parts) == 2 or (len(parts) > 3 and parts[1] == "states")
+    return inside and parts[0] == "detector" and parts[-1] == MISS_RATE
+
+
+def with_miss_rate(content: Mapping[str, Any], rate: object, state: str | None, option: str) -> dict[str, Any]:
+    """The content of a detector file in which every label is missed at one rate, from 0 to below 1, in a state or, with
+    None, in all. The other rows of the confusion matrix keep their proportions in each column. Where misses follow what
+    vessels look like and the file has the log-odds that this added in its learning set, the rate is that of the
+    learning set again. Errors of the content are left to its own checks. Raises InputError, which calls the setting
+    `option`, if it is no such rate, there is no such state, or a label is never found."""
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 <= rate < 1:
+        raise InputError(option, [f"a miss rate is a number from 0 to below 1 (got {shown(rate)})"])
+    states = content.get("states")
+    if not isinstance(states, Mapping):
+        return dict(content)
+    if state is not None and state not in states:
+        raise InputError(option, [f"the detector has no state '{state}' ({nearest(state, states)})"])
+    changed = {
+        name: _section(section, content.get("dropout"), float(rate), f"{option}: states.{name}")
+        if state in (None, name)
+        else section
+        for name, section in states.items()
+    }
+    return {**content, "states": changed}
+
+
+def _section(section: Any, shared: Any, rate: float, where: str) -> Any:
+    try:
+        matrix = np.array(section["confusion"], dtype=np.float64)
+    except (TypeError, KeyError, ValueError):
+        return section
+    if matrix.ndim != 2 or len(matrix) < 2:
+        return section
+    found = matrix[:-1].sum(axis=0)
+    if np.any(found <= 0):
+        column = int(np.argmax(found <= 0))
+        raise InputError(
+            where, [f"column {column} of its confusion matrix has nothing but misses, so no miss rate fits"]
+        )
+    rows = np.vstack([matrix[:-1] * ((1 - rate) / found), np.full(matrix.shape[1], rate)])
+    return {**section, "confusion": np.round(rows, 12).tolist()} | _intercept(section.get("dropout"), shared, rate)
+
+
+def _intercept(own: Any, shared: Any, rate: float) -> dict[str, Any]:
+    """Intercept with which the mean rate over the learning set is `rate`; empty without log-odds of that set."""
+    key = "learned_log_odds"
+    source = next((each for each in (own, shared) if isinstance(each, Mapping) and key in each), None)
+    try:
+        learned = [np.array(quantiles, dtype=np.float64) for quantiles in source[key]] if source else []
+    except (TypeError, ValueError):
+        return {}
+    if any(quantiles.ndim != 1 or not len(quantiles) for quantiles in learned):
+        return {}  # which the check of the file says
+    intercept = [round(anchor(rate, quantiles, np.ones(len(quantiles))), 12) for quantiles in learned]
+    return {"dropout": {**(own if isinstance(own, Mapping) else {}), "intercept": intercept}} if learned else {}

@@ -47,8 +47,7 @@ def column_problems(rows: Rows, names: Sequence[str]) -> list[str]:
     sums = matrix.sum(axis=0)
     if _sums_to_one(sums):
         return []
-    square = matrix.shape[0] == matrix.shape[1]
-    if square and _sums_to_one(matrix.sum(axis=1)):
+    if matrix.shape[0] == matrix.shape[1] and _sums_to_one(matrix.sum(axis=1)):
         return [
             "its rows sum to one and its columns do not: it looks row-stochastic and must be transposed "
             "(a column holds the probabilities of what follows one state)"
@@ -186,10 +185,7 @@ def _discovery_problems(value: float) -> list[str]:
 
 
 def _one_of(models: Collection[str], what: str) -> AfterValidator:
-    """A check that a name is registered."""
-    return _checked_by(
-        lambda value: [] if value in models else [f"unknown {what} '{value}' ({nearest(value, models)})"]
-    )
+    return _checked_by(lambda name: [] if name in models else [f"unknown {what} '{name}' ({nearest(name, models)})"])
 
 
 MIN_DEGREES, MAX_DEGREES = 2.1, 1000.0

@@ -139,10 +139,8 @@ class LatentScoreSection(Strict):
 
 
 class BoxMemorySection(Strict):
-    """Memory of the components of box errors: shares of their variances, and the times in which some are forgotten.
-
-    Lists have a number each for e_x, e_y, e_w, e_h and, where tails are heavy, for how large the errors are.
-    """
+    """Memory of the components of box errors: shares of their variances, and the times in which some are forgotten,
+    each for e_x, e_y, e_w, e_h and, where tails are heavy, for how large the errors are."""
 
     vessel_share: list[Fraction]
     shares: list[list[Probability]] = Field(default_factory=list)

@@ -127,7 +127,6 @@ def _unread_effects(file: DetectorFile, states: list[str]) -> Iterator[UnreadKey
 
 
 def _switched_off(file: DetectorFile) -> Iterator[UnreadKey]:
-    """Keys that another one switches off."""
     false_positives, prefix = file.false_positives, "false_positives"
     switches: list[tuple[str, str, object]] = [
         (f"{prefix}.merge_overlap", f"{prefix}.merges", false_positives.merges),

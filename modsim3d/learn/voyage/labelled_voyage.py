@@ -12,7 +12,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.detector.file.writing import detector_text as yaml_text
+from modsim3d.detector.file.reading import detector_text as yaml_text
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results, joined
 from modsim3d.formats.reading.pair import compared
 from modsim3d.geometry.camera import Camera

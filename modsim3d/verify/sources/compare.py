@@ -22,15 +22,8 @@ from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.rendered import rendered_occlusion, rendered_spans, spans_of_frame
 from modsim3d.truth.silhouettes import Spans
-from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
-from modsim3d.verify.sources.figures import (
-    ComparisonFigures,
-    Findings,
-    RectangleRuleCheck,
-    VesselDifference,
-    figures_of,
-    shoebox_fits,
-)
+from modsim3d.verify.sources import agreement
+from modsim3d.verify.sources.agreement import Agreement, Comparison, Findings, VesselDifference, figures_of
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 from modsim3d.world.vessels import shoebox
 
@@ -90,7 +83,7 @@ class SourceComparison:
     """Result of `modsim3d check truth` over all frames that it looked at, and the figures of `compare.json`."""
 
     findings: Findings
-    figures: ComparisonFigures
+    figures: agreement.ComparisonFigures
 
 
 def compare_sources(
@@ -131,7 +124,7 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     drawings = [sight.drawing(row, supersample) for row in range(len(steps))]
     checked, differing, missing = fast.compare(drawings, sight.others, scene.occluder_names, renderer)
     masks_of = partial(fast.masks, drawings=drawings)
-    differences = compare_with_analytic(outlines, intrinsics, sources["rendered"], masks_of, supersample)
+    differences = agreement.compare_with_analytic(outlines, intrinsics, sources["rendered"], masks_of, supersample)
     boxed = np.flatnonzero(outlines.boxed)
     words = {int(boxed.searchsorted(row)): text for row, text in differing.items()}
     differences.visible[list(words)] = Agreement.UNEXPLAINED
@@ -139,7 +132,7 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     vessels = _Vessels(camera, steps, outlines.take(boxed), seen)
     fits = {}
     if not outlines.convex.all():
-        fits = shoebox_fits(scene.vessels, vessels.outlines, sight.outlines(as_shoeboxes=True))
+        fits = agreement.shoebox_fits(scene.vessels, vessels.outlines, sight.outlines(as_shoeboxes=True))
     names, pairs = scene.occluder_names, outlines.occluder[sources["analytic"].intersecting].tolist()
     return Findings(
         frames=len(steps),
@@ -197,20 +190,19 @@ class _Vessels:
 
 
 def _worst(differences: Comparison, vessels: _Vessels, words: dict[int, str]) -> tuple[VesselDifference, ...]:
-    """The largest differences: unexplained ones first, those that are left to pixels last. `words` say of rows how the
-    rendered source differs from what was drawn."""
+    """The largest differences, unexplained ones first, those left to pixels last. `words` say how drawn rows differ."""
     sides = np.abs(np.concatenate([differences.full_side_px, differences.visible_side_px], axis=1))
     size_px: Array = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(differences.seen_differs, 1.0, 0.0)
     size_px[differences.visible == Agreement.INTERSECTING] *= 1e-3
     badness = size_px + 1e6 * (differences.worst == Agreement.UNEXPLAINED)
-    reasons = [EXPLANATIONS[Agreement(reason)] for reason in differences.worst.tolist()]
+    reasons = [agreement.EXPLANATIONS[Agreement(reason)] for reason in differences.worst.tolist()]
     return tuple(
         vessels.difference(row, float(badness[row]), f"{reasons[row]}: {words.get(row, f'{size_px[row]:.2f} px')}")
         for row in np.argsort(-badness)[:WORST].tolist()
     )
 
 
-def _check_rule(vessels: _Vessels) -> RectangleRuleCheck:
+def _check_rule(vessels: _Vessels) -> agreement.RectangleRuleCheck:
     """Check the rectangle rule's visible boxes of occluded vessels against those from pixels."""
     rendered, rectangles = vessels.sources["rendered"], vessels.sources["rectangles"]
     occluded = rendered.visible_px < rendered.silhouette_px
@@ -225,7 +217,7 @@ def _check_rule(vessels: _Vessels) -> RectangleRuleCheck:
         badness = np.where(occluded, off_px + AGREED_FIRST * (agreed & (off_px > RULE_OFF_PX)), -1.0)
         row = int(np.argmax(badness))
         worst = vessels.difference(row, float(badness[row]), f"the rectangle rule is {off_px[row]:.0f} px off")
-    return RectangleRuleCheck(
+    return agreement.RectangleRuleCheck(
         occluded=int(occluded.sum()),
         off=int((occluded & (off_px > RULE_OFF_PX)).sum()),
         kept_hidden=int((occluded & ~visible & kept).sum()),

@@ -19,8 +19,8 @@ from modsim3d.runs.selection import check_every
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import visible_regions
+from modsim3d.verify.sources.agreement import BoxFigures, ComparisonFigures, RuleFigures, VesselDifference
 from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison, compare_sources
-from modsim3d.verify.sources.figures import BoxFigures, ComparisonFigures, RuleFigures, VesselDifference
 from modsim3d.view.pages.page import document_page, image
 from modsim3d.view.pages.provenance import Input, Provenance, sha256_of, shown_path
 from modsim3d.view.pictures.comparison_picture import RULE, Styles, boxes_that_differ, comparison_picture
@@ -138,10 +138,8 @@ def _provenance(
     comparison: SourceComparison, scene: Scene, renderer: IdRenderer, made_by: str, given: str | None
 ) -> Provenance:
     figures = comparison.figures
-    about = (
-        "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json"
-    )
-    whole = Input("scene as compared", given or shown_path(Path(scene.path)), scene.sha256, about)
+    said = "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json"
+    whole = Input("scene as compared", given or shown_path(Path(scene.path)), scene.sha256, said)
     files = dict.fromkeys(each for each in scene.copy.read if each.is_file())
     return Provenance(
         page="comparison of the sources of truth",
@@ -157,7 +155,6 @@ def _provenance(
 
 
 def _scene_file(scene: Scene, file: Path) -> Input:
-    """A file of a scene, by its path from the scene's folder."""
     folder = Path(scene.path).resolve().parent
     named = file.resolve()
     shown = named.relative_to(folder) if named.is_relative_to(folder) else Path(file.name)
@@ -165,7 +162,6 @@ def _scene_file(scene: Scene, file: Path) -> Input:
 
 
 def _introduction(figures: ComparisonFigures) -> list[Text]:
-    """The answer, and how it was found."""
     if figures.unexplained:
         answer = (
             f"{figures.unexplained} differences of the rendered truth from what was drawn, or from the analytic truth, "
