@@ -1,7 +1,6 @@
-"""Bootstrap over images: how well a number is known.
-Images are drawn with replacement (Efron (1979)). Where they are consecutive frames, noise persists from one to the
-next, so runs of frames are drawn that are long against the time that noise persists. Every estimator takes weights of
-images. Their first row, one for each image, gives the estimate, and the other rows give its replicates."""
+"""Bootstrap over images: how well a number is known. Images are drawn with replacement (Efron (1979)). Noise persists
+from one frame to the next, so of consecutive frames runs are drawn that are long against that. Every estimator takes
+weights of images: their first row, one for each, gives the estimate, and the other rows give its replicates."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -26,8 +25,8 @@ Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """Counts of draws of each image, in the first row one each, shape (1 + replicates, I). `unit` is the index of
-    what was drawn with each image, itself or a run of frames, shape (I,)."""
+    """Counts of draws of each image, in the first row one each, (1 + replicates, I), and the index of what was drawn
+    with each, itself or a run of frames (I,)."""
 
     weights: Array
     unit: Indices
@@ -93,8 +92,7 @@ class Column:
     values: Array  # the estimate, then its replicates, shape (1 + replicates, ...)
     kind: Kind  # decides the scale on which the estimate is nearly normal
     counts: Array  # observations that the estimate rests on, of the shape of one row; of a `rate`, the number of images
-    # Factor by which noise that persists raises the variance of a share at least. Replicates cannot tell it for what
-    # happened once or never.
+    # Factor of a share's variance by noise that persists, at least; replicates cannot tell it for what happened once.
     inflation: float | Array = 1.0
     known: bool = True  # whether an interval of it holds the truth as often as it says
 
@@ -114,9 +112,8 @@ class Column:
         return count / np.maximum(inflation, self.inflation)
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
-        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row. With few units,
-        images or runs that were drawn, the spread itself is uncertain, hence Student's distribution. NaN where an
-        interval would not hold what it says."""
+        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row, by Student's
+        distribution, as few units leave the spread uncertain. NaN where an interval would not hold what it says."""
         if not self.known or (units < MIN_UNITS and self.kind not in ("share", "rate")):
             return np.full(np.shape(self.estimate), np.nan), np.full(np.shape(self.estimate), np.nan)
         wide = float(special.stdtrit(max(units - 1, 1), (1 + level) / 2))
@@ -161,14 +158,12 @@ def spread(replicates: Array) -> Array:
     finite = np.isfinite(replicates)
     number = finite.sum(axis=0)
     filled = np.where(finite, replicates, 0.0)
-    mean = filled.sum(axis=0) / np.maximum(number, 1)
-    squares = np.where(finite, (replicates - mean) ** 2, 0.0).sum(axis=0)
+    squares = np.where(finite, (replicates - filled.sum(axis=0) / np.maximum(number, 1)) ** 2, 0.0).sum(axis=0)
     return np.where(number > 1, np.sqrt(squares / np.maximum(number - 1, 1)), np.inf)
 
 
 def widened(values: Array, least: Array) -> Array:
-    """Replicates of shape (1 + replicates, ...) that spread at least as a standard error (...) from theory does. With
-    few runs of frames, or few things that decide a number, replicates alone spread too little on average."""
+    """Replicates (1 + replicates, ...) that spread at least as a standard error (...) from theory."""
     if len(values) == 1:
         return values
     found = spread(values[1:])
@@ -223,8 +218,7 @@ class Key:
     @property
     def path(self) -> str:
         """The keys with dots between, for reports."""
-        section = () if self.state is None else ("states", self.state)
-        return ".".join((*section, *self.names))
+        return ".".join((*(() if self.state is None else ("states", self.state)), *self.names))
 
     def at(self, place: tuple[int, ...]) -> str:
         """The name of one number of the entry, for reports."""

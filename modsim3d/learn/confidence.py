@@ -37,9 +37,8 @@ def with_enough(samples: Mapping[Kind, ObservedConfidences]) -> dict[Kind, Obser
 def choose_slopes(
     observed: Observed, state: str, samples: Mapping[Kind, ObservedConfidences], notes: list[str]
 ) -> SlopeForm | None:
-    """The slopes of a state that are surely above 0; None if there are none. Whether confidence follows size is tested
-    with the median size as the reference: of a slope that is none, every reference is as good as any other, and the
-    best of many would look significant too often. Where there is a slope, the likeliest reference is taken."""
+    """The slopes of a state that are surely above 0, or None. Whether confidence follows size is tested with the median
+    size as the reference: the best of many would look significant too often. A slope has the likeliest reference."""
     if "slopes" in observed.without:
         return None
     path = f"states.{state}.confidence"
@@ -185,8 +184,7 @@ class OneConfidenceForm:
 
 
 def choose_confidence(observed: Observed, scored: bool = False) -> ConfidenceForm | OneConfidenceForm:
-    """Choose the distribution of confidences of each state and kind, and their slopes. `scored` says that the score
-    behind misses stands behind them too."""
+    """Choose law and slopes of confidences of each state and kind; `scored`: the score behind misses is behind them."""
     if not observed.labelled.scored:
         return OneConfidenceForm(("confidence: 1 for every detection; the detections have none (-1)",))
     if "confidence" in observed.without:
@@ -259,8 +257,8 @@ def _normal_fit(
 
 
 def _distance(scores: ObservedConfidences, fit: SlopeFit | None, kind: int, threshold: float) -> float:
-    """Largest difference between the distribution function of the levels of confidences (n,) and that of uniform ones.
-    A level is the probability of a smaller confidence in the fit; that of a clipped one lies beyond its bound's."""
+    """Largest difference between the distribution function of the levels (n,) of confidences, the probability of
+    smaller ones in the fit, and that of uniform ones. Clipped ones lie beyond their bound's."""
     if fit is None:
         return _normal_distance(scores.values, threshold)
     means, std = fit.means[0, kind] - fit.shift(scores), fit.stds[0, kind]
@@ -284,5 +282,4 @@ def _normal_distance(values: Array, threshold: float) -> float:
     after = np.searchsorted(ordered, ordered, side="right") / len(values)
     before = np.searchsorted(ordered, ordered, side="left") / len(values)
     below = np.where(ordered <= threshold, 0.0, np.abs(fitted - before))
-    above = np.abs(fitted - after)
-    return float(max(below[ordered < 1].max(initial=0.0), above.max(initial=0.0)))
+    return float(max(below[ordered < 1].max(initial=0.0), np.abs(fitted - after).max(initial=0.0)))

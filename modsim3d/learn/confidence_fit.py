@@ -20,8 +20,6 @@ from modsim3d.detector.confidence import clipped_score, clipped_sums, fit_clippe
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 
-# ---- Confidences of true and of false detections ----
-
 Kind = Literal["true", "false"]
 KINDS: tuple[Kind, Kind] = ("true", "false")
 
@@ -99,8 +97,7 @@ class SlopeFit:
 
     def shift(self, scores: ObservedConfidences, row: int = 0) -> Array:
         """Amount by which the slopes lower each confidence, shape (n,)."""
-        found = dict(zip(self.form.names, self.slopes[row].tolist(), strict=True))
-        return shift_of(scores, found, self.form)
+        return shift_of(scores, dict(zip(self.form.names, self.slopes[row].tolist(), strict=True)), self.form)
 
 
 def shift_of(scores: ObservedConfidences, slopes: dict[str, float], form: SlopeForm) -> Array:
@@ -143,10 +140,9 @@ def _normal_terms(values: Array, means: Array, std: float, threshold: float) -> 
 
 
 def product_limit(base: Array, clipped: Mask, weights: Array) -> tuple[Array, Array]:
-    """The likeliest distribution of numbers of which some are only known not to be larger (Kaplan & Meier (1958)).
-    `base` has the numbers, or the bounds of those that are `clipped` (n,), and `weights` how often each counts (n,).
-    Gives values, ascending, and their probabilities, up to a factor. What lies below every known number is at the
-    lowest bound."""
+    """The likeliest distribution of numbers of which some are only known not to be larger (Kaplan & Meier (1958)):
+    values, ascending, and their probabilities, up to a factor. `base` has the numbers, or the bounds of `clipped` ones,
+    (n,), and `weights` how often each counts. What lies below every known number is at the lowest bound."""
     if not clipped.any():
         order = np.argsort(base, kind="stable")
         return base[order], weights[order]
@@ -239,16 +235,11 @@ class _Point:
 
 
 def fit_slopes(
-    samples: Sequence[ObservedConfidences],
-    quantiles: Sequence[bool],
-    form: SlopeForm,
-    threshold: float,
-    resampling: Resampling,
+    samples: Sequence[ObservedConfidences], quantiles: Sequence[bool], form: SlopeForm, least: float, drawn: Resampling
 ) -> SlopeFit | None:
     """Fit the distributions of some kinds with slopes that they share; replicates by one Newton step each. Each kind
-    has its confidences, and may have a distribution of quantiles; `threshold` is the least confidence. None where the
-    confidences do not determine the fit."""
-    point = _settled(_started(samples, replace(form, reference_fitted=False), threshold))
+    has its confidences, from `least` on, and may have quantiles. None where they do not determine the fit."""
+    point = _settled(_started(samples, replace(form, reference_fitted=False), least))
     if point is not None and form.reference_fitted:
         point = _refined(point)
     if point is not None and any(quantiles):
@@ -259,7 +250,7 @@ def fit_slopes(
         values = np.append(point.values, point.form.log_reference)
         point = replace(point, values=values, form=replace(point.form, reference_fitted=True))
     inverse: Array = np.linalg.inv(point.newton()[1]).astype(np.float64)
-    gradients, curvature = _weighted(point, resampling)
+    gradients, curvature = _weighted(point, drawn)
     steps = np.clip(_solved(curvature, gradients, inverse), -1, 1)
     steps[0] = 0.0
     thetas, kinds = point.values + steps, 2 * len(samples)
@@ -327,8 +318,7 @@ def _refined(point: _Point) -> _Point:
 def _ridge(curvature: Array) -> Array:
     """Ridge that makes a curvature (p, p) positive definite, 0 if it is."""
     least = float(np.linalg.eigvalsh(curvature)[0])
-    scale = float(np.trace(curvature)) / len(curvature)
-    return np.eye(len(curvature)) * max(0.0, 1e-9 * scale - 2 * least)
+    return np.eye(len(curvature)) * max(0.0, 1e-9 * (float(np.trace(curvature)) / len(curvature)) - 2 * least)
 
 
 def _weighted(point: _Point, resampling: Resampling) -> tuple[Array, Array]:
@@ -347,19 +337,17 @@ def _solved(curvature: Array, gradient: Array, inverse: Array) -> Array:
     """Newton steps (rows, p); with the inverse of the estimate where a row's own curvature is nearly singular."""
     sound = np.linalg.cond(curvature) < 10 * np.linalg.cond(inverse)
     usable = np.where(sound[:, None, None], curvature, np.eye(len(inverse)))
-    own = np.linalg.solve(usable, gradient[..., None])[..., 0]
-    return np.where(sound[:, None], own, gradient @ inverse)
+    return np.where(sound[:, None], np.linalg.solve(usable, gradient[..., None])[..., 0], gradient @ inverse)
 
 
 def likeliest_reference(
     samples: Sequence[ObservedConfidences], form: SlopeForm, threshold: float, needed: int
 ) -> SlopeForm:
-    """The form with the reference size beyond which confidence does not rise any more. It is fitted if so many
-    detections are larger and as many smaller; else it is the largest size, rounded up."""
+    """The form with the size from which on confidence does not rise, fitted if enough are larger and smaller; else the
+    largest, rounded up."""
     sizes = np.sort(np.concatenate([scores.log_size for scores in samples]))
     largest = np.log2(float(f"{2 ** (sizes[-1] + 0.02):.2g}"))
-    every = max(1, len(sizes) // _SCAN_ROWS)
-    few = [scores.take(np.arange(len(scores)) % every == 0) for scores in samples]
+    few = [scores.take(np.arange(len(scores)) % max(1, len(sizes) // _SCAN_ROWS) == 0) for scores in samples]
     candidates = (
         [*np.linspace(sizes[needed], sizes[-needed - 1], _SCANNED), largest] if len(sizes) > 2 * needed else [largest]
     )

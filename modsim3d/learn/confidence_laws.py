@@ -191,11 +191,9 @@ def normal_scores(scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, re
     return LearnedNormal(Entry(mean_key, mean_column), Entry(std_key, std_column), keys.threshold)
 
 
-def quantile_scores(
-    scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, resampling: Resampling
-) -> LearnedQuantiles:
+def quantile_scores(scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, drawn: Resampling) -> LearnedQuantiles:
     """Quantiles of confidences under each row of weights; with slopes, of what they are without them."""
-    rows = resampling.weights[: 1 + _QUANTILE_REPLICATES]
+    rows = drawn.weights[: 1 + _QUANTILE_REPLICATES]
     scores = scores.take(np.argsort(scores.values, kind="stable"))
     values, levels = np.full((len(rows), QUANTILES), np.nan), np.linspace(0, 1, QUANTILES)
     clipped = np.zeros(len(scores), dtype=bool) if sloped is None else scores.values <= keys.threshold

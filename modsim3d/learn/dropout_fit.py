@@ -73,8 +73,7 @@ class MissFit:
     slopes: Array  # log-odds for each unit or doubling, the estimate first, shape (1 + replicates, effects)
     errors: Array  # standard errors of the estimate, shape (effects,)
     errors_of_things: Array  # those of things that are missed or seen together, shape (effects,); 0 with few things
-    # Miss rate of each state and label, a mean over all annotations of the label, whatever their state; shape
-    # (1 + replicates, states, k), NaN where there was nothing.
+    # Miss rate of a label, over all its annotations, in each state, (1 + replicates, states, k), NaN where it had none.
     rates: Array
     # Log-odds of a miss at the references less those of the rate, of the same shape, 0 where all or nothing was missed.
     intercepts: Array
@@ -83,13 +82,11 @@ class MissFit:
 
     def log_likelihood(self, missed: Mask) -> float:
         """That of the misses, shape (n,)."""
-        likely = np.where(missed, self.chance, 1 - self.chance)
-        return float(np.log(np.maximum(likely, 1e-300)).sum())
+        return float(np.log(np.maximum(np.where(missed, self.chance, 1 - self.chance), 1e-300)).sum())
 
 
 def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: Resampling) -> MissFit | None:
-    """Fit intercepts and slopes by maximum likelihood, replicates by one Newton step from the estimate. Gives None
-    where the misses do not determine the parameters. There may be no effects."""
+    """Fit intercepts and any slopes by maximum likelihood, replicates by one Newton step; None if not determined."""
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
     amounts, holds = np.empty((len(observed.rows), len(effects))), np.empty((states, len(effects)), dtype=bool)
@@ -135,10 +132,9 @@ def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: 
 
 
 def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Array:
-    """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things. The
-    sandwich estimate over clusters (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear
-    models"), with things as clusters. m annotations count, a mask (n,); `influence` is by how much each moves the
-    parameters, shape (m, p)."""
+    """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things:
+    sandwich over things (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models"). m
+    annotations count, a mask (n,); `influence` is by how much each moves the parameters, shape (m, p)."""
     thing = observed.thing[fitted]
     if len(np.unique(thing[thing >= 0])) < lags.THINGS_NEEDED:
         return np.zeros(influence.shape[1])
@@ -196,22 +192,19 @@ def _weighted_information(
 
 
 def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
-    """One Newton step (rows, p) under each row of weights, from information (rows, p, p) and gradients (rows, p). Each
-    row has its own curvature: with that of the estimate, effects that few images decide would look better known than
-    they are. Where that of a row is singular, because it has no misses of some kind, the inverse information of the
-    estimate (p, p) is used. The first row is at the maximum already, so its step is zero."""
+    """One Newton step (rows, p) under each row of weights, from information (rows, p, p) and gradients (rows, p). With
+    the curvature of the estimate in place of the row's, effects that few images decide would look better known than
+    they are. A singular row takes the estimate's inverse information (p, p). The first row, at the maximum, stays."""
     ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
     steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]
-    sound = np.linalg.cond(curvature + ridge) < 1e6
-    bounded = np.clip(steps, -5, 5)
-    return np.where(sound[:, None], bounded, scores @ inverse)
+    return np.where((np.linalg.cond(curvature + ridge) < 1e6)[:, None], np.clip(steps, -5, 5), scores @ inverse)
 
 
 def _mean_rates(
     observed: Observed, amounts: Array, holds: Mask, thetas: Array, usable: Mask, every: Array, resampling: Resampling
 ) -> Array:
-    """Mean probability of a miss in each state over all annotations of a label; replicates to first order. Amounts of
-    the effects have shape (n, effects); in which states each holds, (states, effects)."""
+    """Mean probability of a miss in each state over all annotations of a label; replicates to first order. Effects have
+    amounts (n, effects), and hold in states (states, effects)."""
     states, k = len(observed.states), len(observed.labelled.labels)
     rates = np.full((len(thetas), states, k), np.nan)
     count = int(usable.sum())
@@ -230,12 +223,8 @@ def _mean_rates(
     return rates
 
 
-# ---- Misses of which each thing keeps a share of the noise for as long as it is seen ----
-
-
 def miss_lags(observed: Observed, chance: Array, slopes: int) -> lags.LagTable:
-    """Products of the residuals of misses at all times between, given the fitted chance of each to be missed (n,), and
-    the number of slopes that were fitted beside the rates of each state and label."""
+    """Products of residuals of misses at all times between, given fitted chances (n,), and so many fitted slopes."""
     residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
     size = residual**2 / variance
 
@@ -322,8 +311,7 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
     """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag. Times of the
     autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory that only fades,
     and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test."""
-    table = miss_lags(observed, chance, slopes)
-    times_s, found = lags.memory_shares(table, lags.latent_share(chance), resampling)
+    times_s, found = lags.memory_shares(miss_lags(observed, chance, slopes), lags.latent_share(chance), resampling)
     path = ("persistence", "score")
     kept, shares = (lags.replace_values(found, values) for values in (found.values[:, 0], found.values[:, 1:]))
     place = np.searchsorted(lags.LATENT_SHARES, min(float(kept.estimate), lags.LATENT_SHARES[-1]))
@@ -337,8 +325,8 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
 
 
 def label_memory_s(observed: Observed) -> float:
-    """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance. A
-    label is kept with probability κ = e^(−Δt/τ), else drawn anew, so a share κ + (1 − κ)·Σ p² of them agrees."""
+    """Correlation time of the labels of detections; 0 if consecutive ones agree no more than by chance. With κ =
+    e^(−Δt/τ) kept, else drawn anew, a share κ + (1 − κ)·Σ p² of them agrees."""
     earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s
     seen_as, labels = observed.seen_as, len(observed.labelled.labels)
     both = (seen_as[earlier] < labels) & (seen_as[later] < labels)

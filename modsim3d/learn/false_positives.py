@@ -212,8 +212,7 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
         if total == 0:
             continue
         # Matching may leave a few false detections where nothing else is: they do not decide it alone.
-        shares = true[ours] / max(n_true, 1.0)
-        expected = total * ((1 - _ASTRAY) * shares + _ASTRAY / n_images)
+        expected = total * ((1 - _ASTRAY) * (true[ours] / max(n_true, 1.0)) + _ASTRAY / n_images)
         with_true += float((false[ours] * np.log(expected)).sum())
         even += float(total * np.log(total / n_images))
     if even <= with_true:
@@ -225,20 +224,18 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
     return "per_image"
 
 
-def _of_states(
-    observed: Observed, model: str, resampling: Resampling, inflation: float
-) -> tuple[StateFalsePositives, ...]:
+def _of_states(observed: Observed, model: str, drawn: Resampling, inflation: float) -> tuple[StateFalsePositives, ...]:
     results, names = observed.labelled.results, observed.labelled.labels
     states, k = len(observed.states), len(names)
     image, label = results.image[observed.false_positives], results.label[observed.false_positives]
-    labels = resampling.counts(image, observed.image_state[image] * k + label, (states, k))
+    labels = drawn.counts(image, observed.image_state[image] * k + label, (states, k))
     alone = labels.sum(axis=2)
     false, true = (
-        resampling.counts(seen, observed.image_state[seen], (states,))
+        drawn.counts(seen, observed.image_state[seen], (states,))
         for seen in (results.image[observed.false], results.image[observed.true])
     )
     chosen = np.flatnonzero(observed.image_state >= 0)
-    images = resampling.counts(chosen, observed.image_state[chosen], (states,))
+    images = drawn.counts(chosen, observed.image_state[chosen], (states,))
     overall = ratio(labels.sum(axis=1), alone.sum(axis=1, keepdims=True))
     overall = np.where(np.isfinite(overall), overall, 1 / k)
     learned = []
@@ -263,19 +260,17 @@ def _of_states(
     return tuple(learned)
 
 
-def _place(
-    sightings: FalseSightings, placing: Placing, resampling: Resampling, lasting: Lasting | None
-) -> Entry | None:
+def _place(seen: FalseSightings, placing: Placing, resampling: Resampling, lasting: Lasting | None) -> Entry | None:
     """The parameter of the placement; of a map the share of the false positives whose centres are in each cell."""
     worth = lasting.worth if lasting else (1.0, 1.0)
     if placing == "horizon_band":
-        return Entry(Key(("false_positives", "band_px")), PlaceFit(sightings, *worth).band_px(resampling))
+        return Entry(Key(("false_positives", "band_px")), PlaceFit(seen, *worth).band_px(resampling))
     if placing == "far_half_px":
-        return Entry(Key(("false_positives", "far_half_px")), PlaceFit(sightings, *worth).far_half_px(resampling))
+        return Entry(Key(("false_positives", "far_half_px")), PlaceFit(seen, *worth).far_half_px(resampling))
     if placing == "uniform":
         return None
-    column, row = cells_of(sightings.centres_px, sightings.image_px)
-    counts = resampling.counts(sightings.image, row * GRID[1] + column, GRID)
+    column, row = cells_of(seen.centres_px, seen.image_px)
+    counts = resampling.counts(seen.image, row * GRID[1] + column, GRID)
     total = counts.sum(axis=(1, 2), keepdims=True)
     shares = Column(ratio(counts, total), "share", np.full(GRID, total[0, 0, 0]), worth[0])
     return Entry(Key(("false_positives", "density")), shares)
@@ -295,8 +290,7 @@ def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -
     sums = resampling.sums(image, np.column_stack([np.ones(len(sides)), sides, scale, scale**2]))
     number = sums[:, 0]
     px = np.exp(ratio(sums[:, 1:3], number[:, None]))
-    variance = (sums[:, 4] - ratio(sums[:, 3] ** 2, number)) / np.maximum(number - 1, 1)
-    std = np.sqrt(np.maximum(variance, 0))
+    std = np.sqrt(np.maximum((sums[:, 4] - ratio(sums[:, 3] ** 2, number)) / np.maximum(number - 1, 1), 0))
     count = max(float(len(sides)) / inflation, 1.0)
     root = np.sqrt(count)
     px_column = Column(widened(px, px[0] * std[0] / root), "positive", np.full(2, count))

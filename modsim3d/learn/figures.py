@@ -145,8 +145,8 @@ class Figures:
     name: str
     images: int
     units: int
-    # Confusion matrix, rows what was detected, columns what was there, both labels then background; its last entry is
-    # undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
+    # Confusion matrix, detected labels in rows, true ones in columns, then background; the last, undefined entry is 0;
+    # shape (k + 1, k + 1) (section 5.6.2).
     counts: Array
     any_label: Rates
     of_labels: Rates  # of each label, shape (k,)
@@ -275,8 +275,7 @@ def _average(column: Column, weights: Array, count: float) -> Column:
     there = np.isfinite(column.values)
     weights = np.where(there, weights, 0.0)
     filled = np.where(there, column.values, 0.0)
-    values = ratio((filled * weights).sum(axis=1), weights.sum(axis=1))
-    return Column(values, "fraction", np.array(count))
+    return Column(ratio((filled * weights).sum(axis=1), weights.sum(axis=1)), "fraction", np.array(count))
 
 
 # ---- Losses of average precision ----
@@ -319,8 +318,8 @@ _FAR, _NEAR, _FITS = range(3)
 
 @dataclass(frozen=True, eq=False)
 class _Nearest:
-    """The best annotation of the same and of another label for each of n detections, −1 for none, shapes (n,). Beside
-    each stands whether it fits by the rule, is only near or is far: `_FITS`, `_NEAR` or `_FAR`."""
+    """Best annotation of the same and of another label for n detections, −1 for none, and whether it `_FITS`, is
+    `_NEAR` by the rule or `_FAR`, shapes (n,)."""
 
     same: Indices
     same_place: Indices
@@ -421,8 +420,8 @@ class _State:
         return replace(self, counts=counts)
 
     def corrected(self, rows: Indices, annotations: Indices, taken: Mask) -> _State:
-        """Make some detections (n,) right, of an annotation each (n,), given which annotations have been detected (T,).
-        The most confident detection of one counts, if nothing else has detected it; the others are left out."""
+        """Make some detections (n,) right, of annotations (n,), beside those that are detected (T,): the most confident
+        of each annotation that nothing has detected; others are left out."""
         free = ~taken[annotations]
         order = np.argsort(-self.labelled.results.confidence[rows[free]], kind="stable")
         rows_free, annotations_free = rows[free][order], annotations[free][order]

@@ -40,8 +40,7 @@ class ConditionChange:
 
     @classmethod
     def between(cls, before: tuple[str, DetectorModel], after: tuple[str, DetectorModel]) -> ConditionChange:
-        """The change between two conditions, each a name and a detector of one label and one state. Raises InputError
-        if a condition is none, or has a rate that no ratio can be taken of."""
+        """Change between names and detectors of one label and state. Raises InputError if a rate has no ratio."""
         for name, model in (before, after):
             _check_condition(name, model)
         first, second = before[1].states[0], after[1].states[0]
@@ -125,11 +124,10 @@ def _comments(detector: Path, from_condition: str, to_condition: str, change: Co
 
 
 def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "detector") -> dict[str, Any]:
-    """The content of a detector file after a change of condition, with every state changed by it. Of a probability p
-    the odds p/(1 − p) are multiplied, so that it stays below 1; the classes of what is detected keep their shares.
-    Standard deviations of box errors are multiplied, and their means and correlations stay. Confidence is shifted by
-    its log-odds. Everything else stays. `source` is what messages call the detector. Raises InputError if the detector
-    is wrong before or after the change, or its confidence cannot be shifted."""
+    """The content of a detector file after a change of condition, with every state changed by it. The odds p/(1 − p) of
+    probabilities are multiplied, so that they stay below 1, as are standard deviations of box errors. Shares of classes
+    detected, means and correlations of errors, and all else stay. Confidence is shifted by its log-odds. Raises
+    InputError, with `source`, if the detector is wrong before or after, or its confidence cannot be shifted."""
     parse_detector(content, source)
     states = {name: _state(state, change, f"{source}: states.{name}") for name, state in content["states"].items()}
     result = {**content, "states": states}
@@ -141,7 +139,6 @@ def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "
 
 
 def _check_condition(name: str, model: DetectorModel) -> None:
-    """Raise InputError for a condition that no ratio can be taken of."""
     if len(model.states) != 1 or len(model.labels) != 1:
         found = f"{len(model.states)} states and {len(model.labels)} labels"
         raise InputError(f"condition {name}", [f"a condition is a detector with one state and one label (got {found})"])
@@ -164,7 +161,6 @@ def _check_condition(name: str, model: DetectorModel) -> None:
 
 
 def _state(state: Mapping[str, Any], change: ConditionChange, where: str) -> dict[str, Any]:
-    """A state's section after the change."""
     confusion = np.array(state["confusion"], dtype=np.float64)
     missed = _with_odds(confusion[-1], change.miss_odds)
     found = np.where(confusion[-1] < 1, (1 - missed) / np.maximum(1 - confusion[-1], np.finfo(float).tiny), 0)
@@ -204,7 +200,6 @@ def _confidence(section: Mapping[str, Any], shift: tuple[float, float], where: s
 
 
 def _shifted(section: Mapping[Any, Any], shift: float, where: str) -> dict[Any, Any]:
-    """A distribution of confidence, shifted by log-odds."""
     if not shift:
         return dict(section)
     if section.get("quantiles") is not None:
@@ -216,7 +211,6 @@ def _shifted(section: Mapping[Any, Any], shift: float, where: str) -> dict[Any, 
 
 
 def _mean(scores: ConfidenceLaw) -> float:
-    """The mean of a distribution of confidence, before it is clipped."""
     if isinstance(scores, NormalScores):
         return scores.mean
     if not isinstance(scores, QuantileScores):

@@ -41,8 +41,8 @@ class LagTable:
 
     @classmethod
     def of(cls, labelled: LabelledSet, rows: Indices, group: Indices, compare: Compare, fitted: int = 0) -> LagTable:
-        """Pairs of annotations (n,) of things with identities in frames with times, neighbours first. Residuals are
-        from a mean of each group, shape (n,), and from so many other numbers that were `fitted`."""
+        """Pairs of annotations (n,) of things with identities in frames with times, neighbours first; residuals (n,)
+        are from means of groups (n,), and from so many other numbers that were `fitted`."""
         image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
         time_s, sequence = labelled.images.time_s[image], labelled.images.sequence[image]
         known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
@@ -98,8 +98,7 @@ class LagTable:
         return np.asarray(whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300))
 
     def uncrowded(self, ratios: Array) -> Array:
-        """Ratios (rows, b) to which what the mean of all sightings took of them is added. It took its part of the level
-        at which they stay, which is that of the longest third of the lags."""
+        """Ratios (rows, b) with what the mean of all sightings took: its part of the longest third's level is added."""
         late = slice(-max(len(self.lag_s) // 3, 1), None)
         level = np.clip(np.average(ratios[:, late], axis=1, weights=self.weight[late]), 0, _LARGEST)
         taken = (self.crowding * level / (1 - self.crowding * (1 - level)))[:, None]
@@ -113,8 +112,7 @@ class LagTable:
         lost = 1 - kept
         level = (found @ (weight * lost).T - (weight * lost * kept).sum(axis=1)) / (weight * lost**2).sum(axis=1)
         level = np.clip(level, 0, _LARGEST)
-        residual = found[:, None] - kept - level[..., None] * lost
-        misfit = (weight * residual**2).sum(axis=-1)
+        misfit = (weight * (found[:, None] - kept - level[..., None] * lost) ** 2).sum(axis=-1)
         best = misfit.argmin(axis=1)
         rows, inner = np.arange(len(found)), np.clip(best, 1, _GRID - 2)
         below, here, above = (misfit[rows, inner + k] for k in (-1, 0, 1))
@@ -152,8 +150,7 @@ class Fits:
 
 @dataclass(frozen=True, eq=False)
 class LearnedVesselNoise:
-    """Columns of a correlation time and of the share of the latent noise that things keep, and the share's level.
-    `level` is the correlation of residuals that stays for ever."""
+    """Columns of a correlation time and of the share of latent noise that things keep, and the level of residuals."""
 
     time_s: Column
     share: Column
@@ -213,14 +210,12 @@ def latent_share(chance: Array) -> Callable[[Array], Array]:
     """Function from the correlation of misses to the share of the latent normal number that things keep. With a share s
     two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal number of p and T
     the function of Owen (1956), "Tables for computing bivariate normal probabilities"."""
-    level = level_of(chance)
-    return lambda found: np.interp(found, level, LATENT_SHARES)
+    return lambda found: np.interp(found, level_of(chance), LATENT_SHARES)
 
 
 def level_of(chance: Array) -> Array:
     """Correlation of misses for each of `LATENT_SHARES`, shape (100,)."""
-    varied = chance[(chance > 0) & (chance < 1)]
-    p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
+    p = np.quantile(chance[(chance > 0) & (chance < 1)], (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
     return np.asarray((both_missed(p) - p**2).sum(axis=0) / (p - p**2).sum())
 
 
@@ -255,8 +250,7 @@ def in_seconds(times_s: Array) -> tuple[str, ...]:
 
 
 def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
-    """Shares that are kept, then those of each time, from correlations of scores (rows, b), shape (rows, 1 + parts).
-    The rest of the variance is white noise, so all shares sum to one."""
+    """Shares kept, then of each time, from correlations of scores (rows, b), (rows, 1 + parts); the rest is white."""
     decays = np.exp(-table.lag_s[:, None] / times_s)
     design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
     weight = np.sqrt(table.weight / table.weight.max())[:, None]

@@ -27,9 +27,8 @@ _MOST = 0.5
 
 
 def gate_warning(labelled: LabelledSet, matched: Matched, rule: Rule) -> str | None:
-    """Warning, with figures, if the rule does not match most of what could be a match; None if it does. Where the set
-    says what each detection is of, those are counted that the rule does not let match their own vessel. Elsewhere
-    missed annotations are counted that a false detection overlaps."""
+    """Warning, with figures, if the rule does not match most of what could be a match: detections known to be of a
+    vessel that it does not let match that; elsewhere missed annotations that a false detection overlaps. Else None."""
     if rule.method == "provenance" or not matched.sought.any():
         return None
     recall = f"recall {len(matched.pairs[0]) / np.count_nonzero(matched.sought):.3f}"
@@ -127,8 +126,8 @@ def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: Lear
 
 
 def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
-    """The least confidence of a detection that counts: the one that was asked for, or 0.2; 0 without confidences. It is
-    not below a run's operating threshold. Raises ModsimError if one was asked for, and there are no confidences."""
+    """Least confidence of a detection that counts: the one asked for, or 0.2, but a run's operating threshold at least;
+    0 without confidences. Raises ModsimError if one was asked for, and there are no confidences."""
     if labelled.scored:
         return max(MIN_CONFIDENCE if asked is None else asked, labelled.dropped_below)
     if asked is not None:
@@ -231,9 +230,6 @@ def _near_gate(observed: Observed, rule: Rule) -> NearGate:
     shares = zip(observed.states, barely_matched(observed) / matches, strict=True)
     many = tuple((name, float(share)) for name, share in shares if share > _MANY_NEAR)
     return NearGate(many, rule.least_iou + NEAR_THE_GATE, other, several=len(observed.states) > 1)
-
-
-# ---- Request: how it is learned, checked once for the command line and for Python ----
 
 
 Method = Literal["confidence", "optimal", "centre", "provenance"]

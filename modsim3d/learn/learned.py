@@ -34,11 +34,11 @@ RICHER = (
     *("places", "lasting", "confidence", "slopes", "duplicates", "merges", "splits"),
     "on_vessels",
 )
-"""What learning may add to the plain model, and can be told to leave out. Box errors that grow with the box, or partly
-do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; one score
-behind misses and confidence; the share of misses and box errors that each vessel keeps; a memory of each component of
-box errors; sizes and places of false positives, and how long they last; confidence of true and false detections apart;
-its slopes; duplicates, merges and splits; false positives on vessels."""
+"""Parts beside the plain model, which learning can be told to leave out. Box errors that grow with the box, or partly
+do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; one score behind misses
+and confidence; the share that each vessel keeps; a memory of each component of box errors; sizes and places of false
+positives, and how long they last; confidence of true and false detections apart; its slopes; duplicates, merges and
+splits; false positives on vessels."""
 
 
 class LearnedPart(Protocol):
@@ -63,8 +63,7 @@ class PartForm(Protocol):
 
 
 def left_out(names: Iterable[str], where: str) -> frozenset[str]:
-    """The models of `RICHER` that are to be left out, by their names; `where` is the option or argument. Raises
-    InputError if one is not known."""
+    """Models of `RICHER` to be left out, by their names. Raises InputError, with `where`, if one is not known."""
     chosen = frozenset(names)
     unknown = sorted(chosen - set(RICHER))
     if unknown:
@@ -72,8 +71,6 @@ def left_out(names: Iterable[str], where: str) -> frozenset[str]:
         raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(hints)})"])
     return chosen
 
-
-# ---- A detector out of labelled sets ----
 
 _SECTIONS = ("dropout", "persistence", "false_positives")
 _STATE_KEYS = (
@@ -348,7 +345,6 @@ def uncertainty_text(learned: Learned, detector: str) -> bytes:
 
 
 def _is_written(entry: bootstrap.Entry) -> bool:
-    """Whether the number stands in the detector file."""
     if entry.key.names[-1] == "confusion":
         return True
     absent = entry.key.names[0] == "persistence" and not np.any(entry.estimate > 0)
@@ -387,9 +383,8 @@ def _width(entry: bootstrap.Entry) -> dict[str, Any]:
 
 
 def _without_outliers(scaled: Array) -> Array:
-    """Replicates (replicates, ...), each held within four standard deviations of the median. The standard deviation is
-    that of the inner two thirds. A few replicates in which all errors are equal, with a logarithm of nearly −∞, would
-    make the spread many times as large."""
+    """Replicates (replicates, ...), held within four standard deviations of the median, by the inner two thirds: a few
+    in which all errors are equal, with a logarithm of nearly −∞, would make the spread many times as large."""
     finite = np.where(np.isfinite(scaled), scaled, np.nan)
     if not np.isfinite(finite).any(axis=0).all():
         return scaled
@@ -399,8 +394,7 @@ def _without_outliers(scaled: Array) -> Array:
 
 
 def correlated(names: Sequence[str], shape: tuple[int, ...]) -> Mask:
-    """Mask of the places of an entry that have correlations, of its shape. Of a confusion matrix, whose columns sum to
-    one, the misses; of a distribution over labels or cells, none."""
+    """Places of an entry that have correlations, of its shape: a confusion matrix's misses; none of distributions."""
     places: Mask = np.ones(shape, dtype=bool)
     if names[-1] == "confusion":
         places[:-1] = False

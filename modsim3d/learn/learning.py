@@ -132,17 +132,13 @@ class LearnInputs:
 
     @classmethod
     def of(
-        cls,
-        request: LearnRequest,
-        truth: Sequence[Path],
-        detections: Sequence[Path],
-        runs: Sequence[StoredRun | StrPath],
+        cls, request: LearnRequest, truth: Sequence[Path], results: Sequence[Path], runs: Sequence[StoredRun | StrPath]
     ) -> LearnInputs:
         """Read pairs of truth and detections, and runs. Raises ModsimError if there is nothing, not one of both for
         each condition, or a file cannot be read."""
         names = request.conditions
-        if len(truth) != len(detections):
-            counts = f"{len(truth)} of truth and {len(detections)} of detections are given"
+        if len(truth) != len(results):
+            counts = f"{len(truth)} of truth and {len(results)} of detections are given"
             raise ModsimError(f"{counts}: give one pair for each condition")
         if names and len(names) != len(truth):
             counts = f"{len(names)} conditions are named for {len(truth)} pairs of truth and detections"
@@ -156,10 +152,10 @@ class LearnInputs:
             )
         names = names or (("usual",) if len(truth) == 1 else tuple(f"condition_{k + 1}" for k in range(len(truth))))
         with inputs_noted() as read:  # also of files that are not named, such as data.yaml
-            parts = [read_pair(*pair, request.read_options) for pair in zip(names, truth, detections, strict=True)]
+            parts = [read_pair(*pair, request.read_options) for pair in zip(names, truth, results, strict=True)]
             opened = tuple(opened_run(run) for run in runs)
             parts += [labelled_run(run)[0] for run in opened]
-        return cls(joined(parts), tuple(truth), tuple(detections), opened, tuple(read))
+        return cls(joined(parts), tuple(truth), tuple(results), opened, tuple(read))
 
     @property
     def files(self) -> tuple[Path, ...]:

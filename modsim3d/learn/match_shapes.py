@@ -94,8 +94,7 @@ def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
     true_px, together = sought.boxes_px[where], iou(unions(*boxes), sought.boxes_px[where])
     apart = intersections(*boxes) <= _MAX_COMMON * np.minimum(*areas(boxes))
     level = _common_height(*boxes) >= _SAME_HEIGHT
-    better = together > np.maximum(*iou(boxes, true_px))
-    good = np.flatnonzero(apart & level & better & (together >= MIN_FIT))
+    good = np.flatnonzero(apart & level & (together > np.maximum(*iou(boxes, true_px))) & (together >= MIN_FIT))
     kept = good[best_of(together[good], ~where[good], rows[0, good], rows[1, good])]
     larger = areas(boxes)[:, kept].argmax(axis=0)
     return Parts(where[kept], rows[larger, kept], rows[1 - larger, kept])
@@ -143,8 +142,8 @@ def second_boxes(sought: SoughtBoxes, loose: Loose, single: Mask, rule: Rule) ->
 
 
 def on_vessels(sought: SoughtBoxes, loose: Loose) -> tuple[Indices, Indices]:
-    """Places of annotations (n,) on which a false detection lies, and rows of these, shape (k,) each: every false
-    detection belongs to the annotation that shares most of it, and each annotation has one."""
+    """Places of annotations (n,) on which a false detection lies, and of these, (k,): each is of what shares most of
+    it, and each annotation has one."""
     first, place = loose.pairs(sought)
     box_px = loose.boxes_px[first]
     share = intersections(box_px, sought.boxes_px[place]) / np.maximum(sizes(box_px).prod(axis=1), 1e-9)
@@ -153,8 +152,7 @@ def on_vessels(sought: SoughtBoxes, loose: Loose) -> tuple[Indices, Indices]:
 
 
 def best_of(quality: Array, *taken: Indices) -> Indices:
-    """Places of the best candidates (m,), in order of quality, none of which takes what a better one took, shape (k,).
-    Each takes a number of each column (m,), and a number means the same in all columns."""
+    """Places of the best candidates (m,), by quality, each of numbers that no better one took in any column, (k,)."""
     gone, chosen = set[int](), []
     for place in np.argsort(-quality, kind="stable").tolist():
         wanted = {int(column[place]) for column in taken}
@@ -223,8 +221,7 @@ def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Ma
     pair = np.concatenate([alone[fits], empty[free_fits]])
     row = np.concatenate([sought.row[owner[fits]], loose.row[first[free_fits]]])
     quality = np.concatenate([quality[fits], free_quality[free_fits]])
-    vessels = pairs.larger[pair], pairs.smaller[pair]
-    kept = best_of(quality, row, *(~each for each in vessels))
+    kept = best_of(quality, row, *(~each for each in (pairs.larger[pair], pairs.smaller[pair])))
     return CommonBoxes(pair[kept], row[kept], one_box)
 
 
@@ -277,9 +274,8 @@ def pair_trials(
     unambiguous: Mask,
     one_box: Mask,
 ) -> Trials:
-    """Pairs whose larger vessel is detected, and pairs with one box that may be around both. Of pairs with a vessel in
-    common the one that overlaps most comes first, so another that came out as one box says that it did not, and after
-    it the others had no chance. After one that perhaps did, the others tell nothing."""
+    """Pairs whose larger vessel is detected, and those with one box that may be around both. Of pairs with a vessel in
+    common the one that overlaps most comes first; after one that came out, or perhaps did, the others had no chance."""
     free = pairs.share > _most(sought, pairs, is_merged)
     detected = sought.found.copy()
     detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True

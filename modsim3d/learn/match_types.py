@@ -45,8 +45,8 @@ class Recognition:
 
     @classmethod
     def of(cls, sought: SoughtBoxes, pairs: Overlapping, whole: Mask) -> Recognition:
-        """Find it from the errors of vessels that overlap none, are about as large and are not in two parts (n,). Where
-        too few of those are known, all boxes of one vessel alone are mistaken and none around both is recognized."""
+        """Find it from the errors of vessels that overlap none, are about as large and are not in two parts (n,). If
+        few are known, all boxes of one vessel are mistaken, and none around both is recognized."""
         lonely = sought.found & whole
         touching = Overlapping.of(sought, 1e-9)
         lonely[touching.larger] = lonely[touching.smaller] = False
@@ -62,10 +62,8 @@ class Recognition:
         def share_that_fits(boxes_px: Array) -> Array:
             """Share of boxes (p, 4) with such errors that fit the box around the pair, shape (p,)."""
             ours = np.tile(np.maximum(sizes(boxes_px), 1.0), 2)
-            middle = np.searchsorted(area, ours[:, :2].prod(axis=1))
-            start = np.clip(middle - count // 2, 0, len(area) - count)
-            near = errors[start[:, None] + np.arange(count)]
-            drawn = move(boxes_px[:, None], near * ours[:, None])
+            start = np.clip(np.searchsorted(area, ours[:, :2].prod(axis=1)) - count // 2, 0, len(area) - count)
+            drawn = move(boxes_px[:, None], errors[start[:, None] + np.arange(count)] * ours[:, None])
             pair = np.broadcast_to(np.arange(len(pairs))[:, None], drawn.shape[:2])
             return np.asarray(pairs.fits(sought, pair, drawn)[0].mean(axis=1))
 
@@ -97,8 +95,7 @@ def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
         if k % 2:
             room = width - sizes(boxes)[:, 0]
             x = (boxes[:, 0] + room * (k + 1) / (SHUFFLES + 2)) % np.maximum(room, 1e-9)
-            shift = np.where((room > 0) & np.isfinite(x), x - boxes[:, 0], 0.0)
-            boxes = boxes + shift[:, None] * [1, 0, 1, 0]
+            boxes = boxes + np.where((room > 0) & np.isfinite(x), x - boxes[:, 0], 0.0)[:, None] * [1, 0, 1, 0]
         there, kept = other[loose.image], np.flatnonzero(step[loose.image])  # too few frames have their own vessels
         kept = kept[np.argsort(there[kept], kind="stable")]
         yield Loose(loose.row[kept], there[kept], boxes[kept])
@@ -228,8 +225,7 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
         np.add.at(by_chance, match_shapes.on_vessels(sought, moved)[0], 1 / SHUFFLES)
     # Only those that lie anywhere meet vessels by chance; of F, of which a share c would, (F − H)/(1 − c) lie anywhere.
     meeting = by_chance.sum() / max(len(loose_on.row), 1)
-    anywhere = (len(loose_on.row) - len(vessel)) / max(len(loose_on.row) * (1 - meeting), 1e-9)
-    by_chance *= min(anywhere, 1.0)
+    by_chance *= min((len(loose_on.row) - len(vessel)) / max(len(loose_on.row) * (1 - meeting), 1e-9), 1.0)
     recognition = Recognition.of(sought, pairs, whole)
     merges = _merge_trials(detected, rows, pairs, common, recognition, chance["merges"])
     ambiguous = _ambiguous_pairs(detected, pairs, recognition)
@@ -285,21 +281,15 @@ def _by_chance(
 
 
 def _merge_trials(
-    detected: SoughtBoxes,
-    rows: Indices,
-    pairs: Overlapping,
-    common: CommonBoxes,
-    recognition: Recognition,
-    by_pair: Array,
+    detected: SoughtBoxes, rows: Indices, pairs: Overlapping, common: CommonBoxes, known: Recognition, by_pair: Array
 ) -> Trials:
     """Pairs that could have merged, less the boxes of one vessel (p,) and the false positives (p,) that look so."""
     is_merged = np.zeros(len(pairs), dtype=bool)
     is_merged[common.pair] = True
-    mistaken = np.where(detected.found[pairs.larger], *recognition.mistaken)
-    by_error = np.where(common.one_box, mistaken, 0.0)
-    told = np.maximum(recognition.recognized - by_error, 0.5)
+    by_error = np.where(common.one_box, np.where(detected.found[pairs.larger], *known.mistaken), 0.0)
+    told = np.maximum(known.recognized - by_error, 0.5)
     probable = np.where(common.one_box, (is_merged - by_error) / told, 1.0 * is_merged)
-    chance, unambiguous = by_error + by_pair, recognition.unambiguous
+    chance, unambiguous = by_error + by_pair, known.unambiguous
     hits, one_box = probable - by_pair, common.one_box
     return match_shapes.pair_trials(detected, rows, pairs, is_merged, hits, chance, unambiguous, one_box)
 
@@ -406,9 +396,7 @@ def counted_as(labelled: LabelledSet, matched: Matched, used: Mask, without: fro
             notes.append("false_positives.duplicates: none; they fit worse than first boxes do, so they lie on vessels")
     if "duplicates" in trials:
         of_vessel.append(kinds.doubled)
-    owned = detection[detection >= 0]
-    counted = np.flatnonzero(matched.counts & used[labelled.results.image])
-    false = np.setdiff1d(counted, owned)
+    false = np.setdiff1d(np.flatnonzero(matched.counts & used[labelled.results.image]), detection[detection >= 0])
     free = np.setdiff1d(false, np.concatenate(of_vessel))
     said = tuple(notes)
     return CountedAs(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, said)
@@ -443,8 +431,7 @@ def _least(name: str, trials: Trials) -> tuple[float | None, list[str]]:
         return None, []
     key, default, others = THRESHOLDS[name]
     best = max([default, *others.tolist()], key=lambda value: _likelihood(trials, value))
-    gain = 2 * (_likelihood(trials, best) - _likelihood(trials, default))
-    if gain <= SIGNIFICANT**2:
+    if 2 * (_likelihood(trials, best) - _likelihood(trials, default)) <= SIGNIFICANT**2:
         return default, []
     return float(f"{best:.4g}"), [f"false_positives.{key}: {best:.4g}, clearly likelier than {default:g}"]
 
@@ -462,8 +449,7 @@ def _needed(chance: float) -> int:
 def _strength(trials: Trials, images: Images) -> float:
     """Standard errors from 0 of the share, from runs of frames."""
     times = images.time_s
-    timed = bool(np.isfinite(times).any())
-    run_s = float(np.nanmax(times) - np.nanmin(times)) / _RUNS if timed else 0.0
+    run_s = float(np.nanmax(times) - np.nanmin(times)) / _RUNS if bool(np.isfinite(times).any()) else 0.0
     sums = hits_and_trials(trials, resample(images, _TRIALS, 0, run_s))
     error = float(spread(sums[1:, 0]))
     return float(sums[0, 0]) / error if error > 0 else 0.0

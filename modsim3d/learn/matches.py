@@ -35,16 +35,14 @@ class ErrorFits:
     _again: dict[Unit, ErrorFit] = field(default_factory=dict)
 
     def fit(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> ErrorFit | None:
-        """The likeliest distribution of a kind; None where the errors determine none. One that will surely not reach
-        the least log-likelihood that is asked of it is not fitted to the end."""
+        """The likeliest law of a kind, or None; one that surely misses the asked log-likelihood is not fitted on."""
         if (unit, heavy) not in self._found:
             start = self._start(unit, heavy) if len(self.edges) else None
             self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges, least)
         return self._found[unit, heavy]
 
     def likeliest_normal(self, unit: Unit) -> ErrorFit | None:
-        """Normal errors of the largest log-likelihood that was found, which need not be the maximum if they are not
-        settled. Where Student's t law was fitted, they are begun from it once more, and count if they settle."""
+        """Likeliest normal errors that were found, perhaps not settled; begun from Student's t too if that settles."""
         fit, heavy = self.fit(unit), self._found.get((unit, True))
         if fit is None or fit.settled:
             return fit
@@ -200,8 +198,8 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Annotations that are to be detected, and what became of each at a least confidence. Each image has the index of a
-    state, −1 where it takes no part, shape (I,). `without` are the models of `learned.RICHER` left out."""
+    """Annotations that are to be detected, and what became of them at a least confidence. Images have a state, −1 for
+    none, (I,). `without` are the models of `learned.RICHER` left out."""
 
     labelled: LabelledSet
     matched: Matched
@@ -252,8 +250,7 @@ class Observed:
 
     @cached_property
     def unambiguous(self) -> Mask:
-        """Whether each annotation would be known to be missed if it were, shape (n,). One that overlaps a larger one is
-        or may be in its box, where boxes merge."""
+        """Whether each annotation, if missed, would be known to be, (n,): larger ones may hide it where boxes merge."""
         return ~self.kinds.ambiguous[self.rows]
 
     @cached_property
@@ -414,10 +411,8 @@ class FalseSightings(Columns):
 
     @cached_property
     def levels(self) -> tuple[Array, Array, Indices]:
-        """Depths and widths of the sea in each distinct image, shapes (k, nodes), and which is that of each row (n,).
-        Only for images whose size is known."""
-        keys = np.column_stack([self.half_planes, self.image_px])
-        distinct, row = np.unique(keys, axis=0, return_inverse=True)
+        """Depths and widths of the sea in distinct images of known size, (k, nodes), and which is each row's, (n,)."""
+        distinct, row = np.unique(np.column_stack([self.half_planes, self.image_px]), axis=0, return_inverse=True)
         depth, width = np.empty((len(distinct), 0)), np.empty((len(distinct), 0))
         for size in np.unique(distinct[:, 3:], axis=0):
             ours = (distinct[:, 3:] == size).all(axis=1)

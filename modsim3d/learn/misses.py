@@ -11,20 +11,9 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted
-from modsim3d.learn import bootstrap
+from modsim3d.learn import bootstrap, dropout_fit
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, resample, widened
-from modsim3d.learn.dropout_fit import (
-    MISSES_FOR_EACH,
-    REFERENCES,
-    EffectTerm,
-    LearnedScore,
-    MissFit,
-    attribute_values,
-    behaves_like_a_score,
-    fit_misses,
-    learned_score,
-    miss_lags,
-)
+from modsim3d.learn.dropout_fit import EffectTerm, MissFit, fit_misses, miss_lags
 from modsim3d.learn.lags import latent_share, vessel_noise, why_none
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
 from modsim3d.learn.persistence import Consecutive, why_no_steps
@@ -48,15 +37,14 @@ class SplitEffects:
 def own_effects(
     observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit]:
-    """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit. The
-    attribute that gains most comes first. Twice the gain in log-likelihood must exceed the logarithm of the number of
+    """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit, begun with
+    the attribute that gains most. Twice the gain in log-likelihood must exceed the logarithm of the number of
     annotations for each slope more (Bayesian information criterion), and what chance exceeds as rarely as one slope
-    exceeds `SIGNIFICANT` standard errors. Gains are divided by `inflation`, the variance of the slope of each attribute
-    over that of independent misses. What was decided is added to `notes`."""
+    exceeds `SIGNIFICANT` standard errors. Gains are over `inflation`, that of the slope's variance. Notes say so."""
     enough = _states_with_enough(observed, len(effects))
     left = [name for name in OWN_ATTRIBUTES if any(effect.attribute == name for effect in effects)]
     if left and len(observed.states) > 1 and len(enough) < 2:
-        needed = f"{MISSES_FOR_EACH * len(effects)} misses and as many finds"
+        needed = f"{dropout_fit.MISSES_FOR_EACH * len(effects)} misses and as many finds"
         notes.append(f"states.NAME.dropout: none; had {counted(len(enough), 'state')} with {needed}, needs 2")
     more = max(len(enough) - 1, 1)
     by_chance = float(special.chdtri(more, 2 * special.ndtr(-SIGNIFICANT)))
@@ -79,19 +67,16 @@ def own_effects(
 
 
 def _states_with_enough(observed: Observed, effects: int) -> list[int]:
-    """States with enough misses and finds for slopes of their own, those with most annotations first."""
     states, missed = len(observed.states), observed.missed.astype(bool)
     misses = np.bincount(observed.state[missed], minlength=states)
     finds = np.bincount(observed.state[~missed], minlength=states)
-    rarer = np.minimum(misses, finds)
-    enough = np.flatnonzero(rarer >= max(MISSES_FOR_EACH * effects, 1))
+    enough = np.flatnonzero(np.minimum(misses, finds) >= max(dropout_fit.MISSES_FOR_EACH * effects, 1))
     return [int(state) for state in enough[np.argsort(-(misses + finds)[enough], kind="stable")]]
 
 
 def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enough: list[int]) -> list[SplitEffects]:
-    """Fits in which states have a slope of an attribute for themselves, by doublings and by units. If some of all the
-    states have too little, they share the slope of the state that has most. The gain counts from the likelier of both
-    forms with one slope for all states, so that it is not the gain of another form."""
+    """Fits in which states have a slope of an attribute for themselves, by doublings and by units, and gains from the
+    likelier of both forms with one slope for all. States that have too little share the slope of the one with most."""
     once = resample(observed.labelled.images, 0, 0)
     place = next(k for k, effect in enumerate(effects) if effect.attribute == name)
     before, after, splits, shared_fits = effects[:place], effects[place + 1 :], [], []
@@ -105,8 +90,7 @@ def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enou
         if fit is not None:
             splits.append(SplitEffects(name, by_units, own, fit, 2 * fit.log_likelihood(observed.missed)))
     values = [2 * fit.log_likelihood(observed.missed) for fit in shared_fits if fit is not None]
-    most = max(values, default=-np.inf)
-    return [replace(split, gain=split.gain - most) for split in splits]
+    return [replace(split, gain=split.gain - max(values, default=-np.inf)) for split in splits]
 
 
 def crowds(observed: Observed, labels: int) -> Array:
@@ -139,7 +123,7 @@ class ClassForm:
         class_s, share, kept, level, score = None, None, 0.0, 0.0, None
         chances = fit if self.effects else _plain_fit(observed)
         if self.scored and chances is not None:
-            score = learned_score(observed, chances.chance, len(self.effects), resampling)
+            score = dropout_fit.learned_score(observed, chances.chance, len(self.effects), resampling)
             kept, level = kept_share(observed, self.class_s), score.level
         elif self.class_s > 0:
             if self.things_keep and chances is not None:
@@ -151,8 +135,7 @@ class ClassForm:
                 time_s = consecutive_misses(observed, chances).column(resampling)
             class_s = Entry(Key(("persistence", "class_s")), time_s)
             kept = kept_share(observed, float(class_s.estimate))
-        crowd = crowds(observed, len(observed.labelled.labels))
-        by_label = (1 - level) * (1 + kept) / (1 - kept) + level * crowd
+        by_label = (1 - level) * (1 + kept) / (1 - kept) + level * crowds(observed, len(observed.labelled.labels))
         inflation = float(by_label.max())
         slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
         confusion = _confusion(observed, fit, resampling, by_label)
@@ -176,7 +159,7 @@ class LearnedClasses:
     effects: tuple[LearnedEffect, ...]
     class_s: Entry | None  # correlation time of misses; None if they do not persist
     class_vessel_share: Entry | None  # share of the latent noise that each thing keeps; None if there is none
-    score: LearnedScore | None  # behind misses and confidence; None if they are drawn apart
+    score: dropout_fit.LearnedScore | None  # behind misses and confidence; None if they are drawn apart
     intercepts: tuple[Entry, ...]  # log-odds of a miss at the references less those of the mean rate, by state, (k,)
     confusion: tuple[Entry, ...]  # of each state, shape (k + 1, k); NaN in columns of labels that were never there
     inflation: float  # variance of the number of frames with a miss or confusion of a thing, over independent frames
@@ -226,7 +209,7 @@ def choose_classes(observed: Observed) -> ClassForm:
     effects, fit = _significant(observed, candidates, notes)
     chances = fit if effects else _plain_fit(observed)
     class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, chances, notes)
-    scored = class_s > 0 and chances is not None and behaves_like_a_score(observed, chances.chance, notes)
+    scored = class_s > 0 and chances is not None and dropout_fit.behaves_like_a_score(observed, chances.chance, notes)
     things_keep = class_s > 0 and not scored and _things_keep(observed, len(effects), chances, notes)
     return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep, scored)
 
@@ -234,7 +217,7 @@ def choose_classes(observed: Observed) -> ClassForm:
 def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
     """Attributes that are given for every annotation and vary, if there are enough misses for them."""
     chosen = []
-    for name, column in attribute_values(observed).items():
+    for name, column in dropout_fit.attribute_values(observed).items():
         known = column[np.isfinite(column)]
         if not len(known):
             notes.append(f"dropout.{name}: none; it is not given")
@@ -243,9 +226,9 @@ def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
         elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
             notes.append(f"dropout.{name}: none; constant")
         else:
-            chosen.append(EffectTerm(name, REFERENCES.get(name, float(f"{np.median(known):.3g}"))))
+            chosen.append(EffectTerm(name, dropout_fit.REFERENCES.get(name, float(f"{np.median(known):.3g}"))))
     misses = int(observed.missed.sum())
-    rarer, needed = min(misses, len(observed.rows) - misses), MISSES_FOR_EACH * len(chosen)
+    rarer, needed = min(misses, len(observed.rows) - misses), dropout_fit.MISSES_FOR_EACH * len(chosen)
     if rarer >= needed:
         return tuple(chosen)
     rare = "misses" if misses == rarer else "finds"
@@ -287,19 +270,19 @@ def _significant(
 def _in_units(
     observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit]:
-    """Effects by units instead of doublings where misses are clearly likelier with them, and the fit. Misses that
-    persist count for less: gains in log-likelihood are divided by the inflation of the slope's variance."""
+    """Effects by units instead of doublings where misses are clearly likelier with them, gains over the inflation of
+    the slope's variance, and the fit."""
     once = resample(observed.labelled.images, 0, 0)
     for place, effect in enumerate(effects):
         if not effect.doublings:
             continue
         changed = (*effects[:place], replace(effect, by_units=True), *effects[place + 1 :])
         other = fit_misses(observed, changed, once)
-        gain = -1.0
-        if other is not None:
-            gain = other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)
-            gain /= inflation[effect.attribute]
-        if other is not None and gain > SIGNIFICANT**2 / 2:
+        if other is None:
+            continue
+        gain = other.log_likelihood(observed.missed) - fit.log_likelihood(observed.missed)
+        gain /= inflation[effect.attribute]
+        if gain > SIGNIFICANT**2 / 2:
             notes.append(f"dropout.{effect.attribute}: by units, not doublings (log-likelihood {gain:.1f} larger)")
             effects, fit = changed, other
     return effects, fit
@@ -331,7 +314,6 @@ def _things_keep(observed: Observed, slopes: int, chances: MissFit | None, notes
 
 
 def _empty_columns(observed: Observed) -> list[str]:
-    """Notes on labels that a state has not seen."""
     notes, k = [], len(observed.labelled.labels)
     counts = np.bincount(observed.state * k + observed.label, minlength=len(observed.states) * k).reshape(-1, k)
     for state, label in np.argwhere(counts == 0):
@@ -376,7 +358,6 @@ def _slopes(
 
 
 def _intercepts(observed: Observed, fit: MissFit) -> tuple[Entry, ...]:
-    """Intercepts of each state, one for each label."""
     labels, count = observed.labelled.labels, np.array(float(len(observed.rows)))
     keys = [Key(("dropout", "intercept"), name, (labels,)) for name in observed.states]
     columns = [Column(fit.intercepts[:, index], "mean", np.full(len(labels), count)) for index in range(len(keys))]
@@ -384,8 +365,7 @@ def _intercepts(observed: Observed, fit: MissFit) -> tuple[Entry, ...]:
 
 
 def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:
-    """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave.
-    `inflation` is that of the variance of a count of each state and label, shape (states, labels)."""
+    """Confusion matrix of each state, at rates that effects leave; counts have an inflation (states, labels)."""
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
     cell = (observed.state * (k + 1) + observed.seen_as) * k + observed.label

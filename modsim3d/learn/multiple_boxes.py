@@ -71,9 +71,8 @@ _MARGIN = 1e-4  # more than what the digits in the file can change
 
 @dataclass(frozen=True)
 class MultipleBoxForm:
-    """Types among `match_types.NAMES` that the data show, with their thresholds, None for one that has none.
-    `merge_s` is the rough correlation time of merges, `on_vessel_s` of false detections on vessels, 0 if they do not
-    persist, and None if none lie on vessels."""
+    """Types among `match_types.NAMES` that the data show, with thresholds or None, and rough correlation times of
+    merges and of false detections on vessels, 0 if they do not persist, the latter None if none lie there."""
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
@@ -202,8 +201,8 @@ def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> flo
 
 
 def why_no_room(observed: Observed) -> str:
-    """Note if a state has fewer false detections than second boxes and parts alone may make, else empty. A model whose
-    false discovery rate counts them needs as many, with every vessel long, see `detector.file.agreement`."""
+    """Note if a state has fewer false detections than second boxes and parts alone may make, with every vessel long,
+    see `detector.file.agreement`; else empty."""
     sums = [(t.hits.sum(), t.weight.sum()) for name, t in observed.kinds.trials.items() if name in _EXTRA]
     extra = sum(float(np.clip(hits / weight, 0, 1)) for hits, weight in sums if weight > 0)
     results = observed.labelled.results

@@ -111,9 +111,8 @@ class Consecutive:
 
     def correlation(self) -> Correlation:
         """The correlation with its interval. Products of noise that does not persist are independent with mean 0, and
-        their squares say how far the correlation strays from 0. A correlation ρ above 0 strays further: its variance is
-        larger by that of a share ρ of so many trials as the expected products are worth, of rare misses as many as
-        there are. Without it, two misses among a thousand finds would seem to show that misses do not persist."""
+        their squares say how far it strays from 0. For ρ above 0 its variance is larger by a share ρ of as many trials
+        as expected products are worth: else two misses among a thousand finds would seem to show that misses stay."""
         whole, pairs = float(self.expected.sum()), len(self)
         if whole <= 0:
             return Correlation(-1.0, 1.0, pairs)
@@ -129,8 +128,7 @@ class Consecutive:
 
     def rough_time_s(self) -> float:
         """The correlation time, without replicates."""
-        once = replace(self, image=np.zeros_like(self.image))
-        return float(once.times_s(_ONCE)[0])
+        return float(replace(self, image=np.zeros_like(self.image)).times_s(_ONCE)[0])
 
     def column(self, resampling: Resampling) -> Column:
         """The correlation time; its replicates spread at least as pairs say, since runs of frames may be few."""
@@ -162,15 +160,13 @@ class Consecutive:
         return of_kind @ np.exp(-gap_s * apart[:, None] / grid_s)
 
     def relative_error(self, time_s: float) -> float:
-        """Relative standard error of a correlation time τ, from the deviation of each pair's product. Given the earlier
-        residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from that are
-        independent of each other whatever persists, and there are many more pairs than runs of frames."""
+        """Relative standard error of a correlation time τ, from each pair's product less e^(−Δt/τ) times the square of
+        the earlier residual: independent whatever persists, and of many more pairs than runs of frames."""
         near = time_s * np.array([0.99, 1.0, 1.01])
         left = np.ones(3) if self.stretches is None else self.stretches.correlation_left(near)
         below, now, above = (self.expected * np.exp(-self.apart_s / t) * k for t, k in zip(near, left, strict=True))
         growth = float((above - below).sum() / np.log(near[2] / near[0]))
-        stray = float(np.sqrt(((self.products - now) ** 2).sum()))
-        return min(stray / max(growth, 1e-12), _UNKNOWN)
+        return min(float(np.sqrt(((self.products - now) ** 2).sum())) / max(growth, 1e-12), _UNKNOWN)
 
 
 def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
@@ -202,8 +198,7 @@ def frame_interval_s(labelled: LabelledSet) -> float:
     """Median time between consecutive frames; NaN where there are none."""
     order = np.lexsort((labelled.images.time_s, labelled.images.sequence))
     gaps = np.diff(labelled.images.time_s[order])
-    same = np.diff(labelled.images.sequence[order]) == 0
-    gaps = gaps[same & np.isfinite(gaps) & (gaps > 0)]
+    gaps = gaps[(np.diff(labelled.images.sequence[order]) == 0) & np.isfinite(gaps) & (gaps > 0)]
     return float(np.median(gaps)) if len(gaps) else float("nan")
 
 

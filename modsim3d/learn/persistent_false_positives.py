@@ -81,8 +81,7 @@ class DriftSpeeds:
     def column(self, resampling: Resampling) -> Column:
         """The root of the mean square speed."""
         sums = resampling.sums(self.image, np.column_stack([self.weight * self.square, self.weight]))
-        square = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
-        values = np.sqrt(np.maximum(square, 1e-12))
+        values = np.sqrt(np.maximum(sums[:, 0] / np.maximum(sums[:, 1], 1e-9), 1e-12))
         return Column(widened(values, values[0] * _MIN_ERROR), "positive", np.array(float(len(self.weight))))
 
 
@@ -132,9 +131,8 @@ class CountedPairs:
 
     def beyond_chance(self, far: Displacements) -> bool:
         """Whether so many pairs in neighbouring frames come by chance once in two thousand sets at most. If none stays,
-        pairs in neighbouring frames are near each other as often as those far apart: of all near ones, those in
-        neighbouring frames are a binomial number (Przyborowski and Wilenski (1940), "Homogeneity of results in testing
-        samples from Poisson series")."""
+        they are a binomial number of all near ones (Przyborowski and Wilenski (1940), "Homogeneity of results in
+        testing samples from Poisson series")."""
         found, near = float(self.found[:, 0].sum()), float(far.near(0.0).sum())
         pairs = float(self.pairs[:, 0].sum())
         if found == 0 or not len(far.alike):
@@ -150,8 +148,7 @@ class CountedPairs:
         for row in range(len(found)):
             each = scale[row] * twice[row] * kept
             likelihood, shares = _shares(found[row], chance[row], each)
-            place = int(np.argmax(likelihood))
-            best[row] = np.exp(_peak(np.log(lifetimes_s), likelihood, place))
+            best[row] = np.exp(_peak(np.log(lifetimes_s), likelihood, int(np.argmax(likelihood))))
             share[row] = np.interp(np.log(best[row]), np.log(lifetimes_s), shares)
         return best, share
 
@@ -219,8 +216,7 @@ class Lasting:
 
     def columns(self, resampling: Resampling) -> tuple[Column, Column]:
         """Lifetime and share."""
-        grid = self.lifetime_s * np.exp(np.linspace(-1.6, 1.6, _GRID))
-        life, share = self.counted.fit(resampling.weights, grid)
+        life, share = self.counted.fit(resampling.weights, self.lifetime_s * np.exp(np.linspace(-1.6, 1.6, _GRID)))
         life = np.exp(widened(np.log(life), np.array(1 / np.sqrt(self.tracks))))
         share = np.minimum(share, np.where(np.arange(len(share)) == 0, 1.0, np.inf))
         stays, goes = share[0], 1 - share[0]
@@ -237,8 +233,7 @@ class NotLasting:
 
 
 def find_lasting(observed: Observed, expected: Array, known: bool = False) -> Lasting | NotLasting:
-    """Persistent false positives, given their mean number in each image, shape (I,). Where it is `known` that some
-    stay, pairs need not be more than chance would bring."""
+    """Persistent false positives, given mean numbers in images (I,); if `known` to stay, pairs may be as by chance."""
     sightings = observed.false_sightings
     ordered = OrderedFrames.of(observed)
     if ordered is None:
@@ -269,15 +264,13 @@ def find_lasting(observed: Observed, expected: Array, known: bool = False) -> La
 _NONE = "no two frames of a sequence have times"
 
 
-def _count(
-    observed: Observed, expected: Array, lags: Sequence[Lag], far: Displacements, speed_px_s: float
-) -> CountedPairs:
+def _count(observed: Observed, expected: Array, lags: Sequence[Lag], far: Displacements, px_s: float) -> CountedPairs:
     """Count near pairs of false positives that drift at a speed."""
     sightings, images = observed.false_sightings, len(observed.labelled.images)
     false = np.bincount(sightings.image, minlength=images).astype(float)
     found, chance, pairs, twice = (np.zeros((images, len(lags))) for _ in range(4))
     for k, lag in enumerate(lags):
-        way = speed_px_s * lag.apart_s
+        way = px_s * lag.apart_s
         near = lag.moves.near(way)
         by_chance = float(far.near(way).mean()) if len(far.alike) else 0.0
         first, second = lag.frames

@@ -46,8 +46,7 @@ class Displacements:
 
     def near(self, way_px: float) -> Mask:
         """Mask of those that may be the same thing, moved so far along the horizon to either side, shape (m,)."""
-        reach = self.near_px + _OF_THE_WAY * way_px
-        return self.alike & (np.abs(self.along_px - way_px) <= reach)
+        return self.alike & (np.abs(self.along_px - way_px) <= self.near_px + _OF_THE_WAY * way_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +84,7 @@ class OrderedFrames:
     def span_s(self) -> float:
         """Length of the longest sequence."""
         starts = run_starts(self.sequence)
-        ends = np.append(starts[1:], len(self.sequence)) - 1
-        return float((self.time_s[ends] - self.time_s[starts]).max())
+        return float((self.time_s[np.append(starts[1:], len(self.sequence)) - 1] - self.time_s[starts]).max())
 
     def frame_pairs(self, steps: int) -> tuple[Indices, Indices]:
         """Places of frames that lie so many usual gaps apart, shapes (p,)."""
@@ -112,8 +110,8 @@ def lags_of(ordered: OrderedFrames, sightings: FalseSightings, most_s: float) ->
 
 
 def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
-    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time. Some
-    of many are drawn; of few all count, since a chance estimated as 0 would make one pair look as if it stayed."""
+    """Pairs in images of one size that show nothing twice: of other sequences, or far in time. Some of many are drawn;
+    of few all count, since a chance estimated as 0 would make one pair look as if it stayed."""
     images, count = observed.labelled.images, len(sightings)
     if count * (count - 1) // 2 <= _FAR_PAIRS:
         first, second = np.triu_indices(count, 1)
@@ -148,8 +146,8 @@ _HALF_A_CASE = 0.5
 _BANDS, _SCALES = 60, 61
 _LN_2 = float(np.log(2))
 _BAND_SPREAD = 1.4
-"""Standard deviation of the logarithm of a band's width, times the false positives in it, as it is reported. The width
-lies above the deepest one by a factor e^(x/n) with x exponential, and so intervals of 95 % and of 99 % hold it."""
+"""Standard deviation of the logarithm of a band's width, times the false positives in it: the width is e^(x/n) times
+the deepest one, x exponential, and so intervals of 95 % and of 99 % hold it."""
 _ROUNDING_PX = 0.01
 
 
@@ -162,8 +160,7 @@ class PlaceFit:
     repeats: float = 1.0  # how many are seen of each different one
 
     def choose(self) -> tuple[Placing, float]:
-        """The likeliest placement, uniform unless another is clearly likelier, and its gain in log-likelihood. Each
-        parameter costs as much as the Bayesian information criterion says."""
+        """The likeliest placement, uniform unless one is likelier by the Bayesian information criterion; its gain."""
         level = self._likelihood(self._density())
         cells = GRID[0] * GRID[1]
         found: list[tuple[Placing, int, float]] = [
@@ -195,21 +192,17 @@ class PlaceFit:
         each = np.stack([self._log(self._density(far_half_px=scale)) for scale in scales.tolist()], axis=1)
         curves = resampling.sums(self.sightings.image, each)
         tops = curves.argmax(axis=1).clip(1, _SCALES - 2)
-        rows = np.arange(len(curves))
-        left, middle, right = (curves[rows, tops + k] for k in (-1, 0, 1))
+        left, middle, right = (curves[np.arange(len(curves)), tops + k] for k in (-1, 0, 1))
         bend = np.minimum(left - 2 * middle + right, -1e-12)
         step = float(np.log(scales[1] / scales[0]))
-        shift = np.clip(0.5 * (left - right) / bend, -0.5, 0.5)
-        values = scales[tops] * np.exp(shift * step)
-        least = step / np.sqrt(-bend[0]) * np.sqrt(self.inflation)
-        column = np.exp(widened(np.log(values), least))
+        values = scales[tops] * np.exp(np.clip(0.5 * (left - right) / bend, -0.5, 0.5) * step)
+        column = np.exp(widened(np.log(values), step / np.sqrt(-bend[0]) * np.sqrt(self.inflation)))
         return Column(column, "positive", np.array(float(len(self.sightings))))
 
     @cached_property
     def rough_far_half_px(self) -> float:
         """The likeliest such distance."""
-        most = float(self.sightings.image_px.max(initial=1.0))
-        scales = most * np.geomspace(0.003, 10, _SCALES)
+        scales = float(self.sightings.image_px.max(initial=1.0)) * np.geomspace(0.003, 10, _SCALES)
         found = [self._likelihood(self._density(far_half_px=scale)) for scale in scales.tolist()]
         return float(scales[int(np.argmax(found))])
 
@@ -287,8 +280,7 @@ class PlaceFit:
         low, high = self.sightings.places_px
         edges = np.arange(rows)[:, None] * height
         overlap = np.clip(np.minimum(high, edges + height) - np.maximum(low, edges), 0, None)
-        here = np.arange(rows)[:, None] == row
-        lengths = np.where(high > low, overlap, here)
+        lengths = np.where(high > low, overlap, np.arange(rows)[:, None] == row)
         return np.asarray((lengths * counts[:, column]).sum(axis=0) / counts.sum() / area)
 
 

@@ -120,9 +120,6 @@ def overlaps(report: LearnReport) -> Overlaps:
     return Overlaps.of(iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]))
 
 
-# ---- What was learned, from what and how well, in a few sentences and numbers ----
-
-
 def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
     """Sentence with the count of numbers in the detector file `name`, and their data, the labelled sets `sources`."""
     labelled, learned = report.labelled, report.learned

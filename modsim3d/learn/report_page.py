@@ -28,7 +28,6 @@ _ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height")
 
 
 def _cell(column: Column, level: float, units: int, digits: int, *place: int) -> str:
-    """An estimate with its interval."""
     ends = (column.estimate, *column.interval(level, units))
     value, low, high = (float(np.asarray(each)[place]) for each in ends)
     return with_interval(value, low, high, digits)
@@ -39,8 +38,7 @@ def _row(figures: Figures, level: float, digits: int, columns: Sequence[Column],
 
 
 def tables(report: LearnReport) -> list[Table]:
-    """All tables in the order of the thesis's chapter 8. A terminal has no room for labels of each condition, errors of
-    labels and covariances."""
+    """All tables in the order of the thesis's chapter 8, which are too many for a terminal."""
     groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
     of_labels = groups if len(report.labelled.labels) > 1 else []
     errors = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
@@ -112,8 +110,7 @@ def _labels(report: LearnReport, figures: Figures) -> Table:
 
 
 def _error_cells(report: LearnReport, figures: Figures, moments: ErrorMoments) -> list[str]:
-    columns = (moments.mean, moments.std)
-    return [cell for k in range(4) for cell in _row(figures, report.level, 1, columns, k)]
+    return [cell for k in range(4) for cell in _row(figures, report.level, 1, (moments.mean, moments.std), k)]
 
 
 def _by_pair(
@@ -263,8 +260,7 @@ class Sources:
         yield from (provenance.file_input("also read", path) for path in rest)
 
     def _sorted(self) -> tuple[dict[Path, list[Path]], list[Path]]:
-        """The files that were read by the path that they belong to, which is absolute, and those of none. A file
-        belongs to the innermost of the given paths that it lies in. What is read of a run is listed with it."""
+        """The files read, by the innermost given path that they lie in, absolute, and of none; a run's with it."""
         given = {path.absolute() for path in (*self.truth, *self.detections)}
         runs = [run.folder.resolve() for run in self.runs]
         found: dict[Path, list[Path]] = {}

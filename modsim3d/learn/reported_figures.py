@@ -27,8 +27,6 @@ from modsim3d.io.validation import NotNegative, Positive, Probability, Strict, d
 from modsim3d.learn.bootstrap import columns_of_one, digits
 from modsim3d.learn.figures import COCO_POINTS, Ranking
 
-# ---- The report ----
-
 ROUNDING, NOTICEABLE = 0.005, 0.015
 """Half a unit of the last of two decimals, and a difference between two figures that is a contradiction."""
 SIZES_PX = {"ap_small": (16, 32), "ap_medium": (32, 96), "ap_large": (96, 256)}
@@ -94,8 +92,8 @@ class Report(Strict):
         return np.array([value[name] if isinstance(value, Mapping) else value for name in self.labels], dtype=float)
 
     def matrix(self, source: str, assumed: list[str]) -> tuple[Array, bool]:
-        """The confusion matrix with predicted labels down and true ones across, each perhaps with background at the
-        end, and whether it has counts, not shares. Raises InputError if it can be read in no way, or in two."""
+        """Confusion matrix, predicted labels down, true ones across, perhaps with background last, and whether of
+        counts. Raises InputError if it can be read in no way, or in two."""
         given, k, where = self.confusion_matrix or [], len(self.labels), f"{source}: confusion_matrix"
         lengths = [len(given), *{len(row) for row in given}]
         if len(lengths) != 2 or not {*lengths} <= {k, k + 1}:
@@ -130,9 +128,6 @@ class Report(Strict):
                 rounded = f"two decimals allow {1 - slack:.3f} to {1 + slack:.3f}"
                 return f"shares of the true label '{name}' sum to {total:.4g}, must sum to 1 ({rounded})"
         return ""
-
-
-# ---- From a report to one matrix ----
 
 
 def _cells(report: Report, source: str, assumed: list[str], contradictions: list[str]) -> tuple[Array, float | None]:
@@ -297,8 +292,7 @@ def _dropout(report: Report, found: float) -> dict[str, Any]:
     precision = np.array([getattr(report, name) for name in ends])
     recall = np.clip(found * precision / max(precision.mean(), 1e-12), 0.02, 0.98)
     octaves = [np.log2(low * high) / 2 for low, high in ends.values()]
-    slope = digits(np.polyfit(octaves, np.log((1 - recall) / recall), 1)[0])
-    effect = {"per_doubling": slope, "reference": 64}
+    effect = {"per_doubling": digits(np.polyfit(octaves, np.log((1 - recall) / recall), 1)[0]), "reference": 64}
     return {"dropout": {"model": "logistic", "anchor": "state_rate", "size_px": effect}}
 
 
@@ -349,12 +343,8 @@ class ReportedDetector:
     def write(self, path: StrPath, *, overwrite: bool = False) -> Path:
         """Write the detector file, in which comments name all that was assumed, and return its path.
 
-        Args:
-            path: The detector file, such as `detector.yaml`.
-            overwrite: Replace a file that is there; the report is never replaced.
-
         Raises:
-            OutputError: The file exists, or cannot be written.
+            OutputError: A file exists without `overwrite`, is the report, or cannot be written.
             TypeError: The path is neither text nor a path.
         """
         simulated = ", ".join(f"{name} {value:.3f}" for name, (_, value) in self.figures.items())

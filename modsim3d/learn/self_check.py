@@ -1,7 +1,6 @@
-"""Whether a learned detector behaves as the real one where it was not learned. The data are split in two. Each half is
-simulated by what was learned from the other, over its own annotations, and what matters to a tracker is counted in the
-real results and in the simulated ones, and trackers are run over both. The detector that is written is learned from all
-data."""
+"""Whether a learned detector behaves as the real one where it was not learned. Each half of the data is simulated, over
+its own annotations, by what was learned from the other; what matters to a tracker is counted in the real results and in
+the simulated ones, and trackers are run over both. The detector that is written is learned from all data."""
 
 from __future__ import annotations
 
@@ -90,9 +89,8 @@ class SelfCheck:
 
 def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[RealityComparison, ...]:
     """Comparisons where the detector was not learned, those that differ most first. Each half stands for itself:
-    summed, what one half has too much the other would have too little. A seed has a replicate of the learned numbers,
-    so that the spread over seeds has what learning from a half leaves open. Raises ModsimError if there is too little
-    to split, or the sizes of images are not known."""
+    summed, one's excess hides the other's. A seed has a replicate of the learned numbers, so that the spread has what a
+    half leaves open. Raises ModsimError if there is too little to split, or the sizes of images are not known."""
     observed = learned.observed
     half = _first_half(observed)
     compared: list[dict[str, RealityComparison]] = []
@@ -104,8 +102,7 @@ def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[R
         real, drawn = counts_of(unseen, observed) | hota_counts(unseen), []
         for seed, model in enumerate(_models_of(seen, learned, settings, seeds)):
             labelled = simulated(observed.labelled, unseen.image_state, model, settings.seed + number * seeds + seed)
-            matched = match(labelled, settings.rule, settings.threshold)
-            again = replace(unseen, labelled=labelled, matched=matched)
+            again = replace(unseen, labelled=labelled, matched=match(labelled, settings.rule, settings.threshold))
             drawn.append(counts_of(again, observed) | (hota_counts(again) if seed < TRACKED_SEEDS else {}))
         compared.append({each.name: each for each in _compared(real, drawn)})
     rows = [_worse(*(half_of[name] for half_of in compared)) for name in compared[0] if name in compared[1]]
@@ -117,8 +114,7 @@ def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[R
 def _models_of(seen: Observed, learned: Learned, settings: LearnSettings, seeds: int) -> Iterator[DetectorModel]:
     """Detectors learned from one half: replicates of its numbers, the estimate where one is no detector."""
     form = choose_form(seen, settings.clutter)
-    resampling = resample(seen.labelled.images, seeds, settings.seed, learned.run_s)
-    numbers = form.estimate(seen, resampling)
+    numbers = form.estimate(seen, resample(seen.labelled.images, seeds, settings.seed, learned.run_s))
 
     def model_of(row: int) -> DetectorModel:
         chosen = with_entries(numbers, lambda entry: _replicate(entry, row))
@@ -166,9 +162,8 @@ def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[RealityComparis
     for name, (amount, number) in real.items():
         if number < MIN_COUNT:
             continue
-        means = np.array(
-            [total / whole for total, whole in (each.get(name, (0.0, 0.0)) for each in drawn) if whole > 0]
-        )
+        sums = (each.get(name, (0.0, 0.0)) for each in drawn)
+        means = np.array([total / whole for total, whole in sums if whole > 0])
         value = amount / number
         if len(means) < 2:
             yield RealityComparison(name, value, float("nan"), float("nan"), 0.0)
@@ -192,16 +187,11 @@ def _adjusted(rows: Sequence[RealityComparison]) -> Iterator[RealityComparison]:
         yield replace(row, p_value=highest)
 
 
-# ---- What is counted ----
-
-
 def counts_of(observed: Observed, whole: Observed) -> Counts:
     """Counts that a tracker feels of some results; ranges of size and distance are those of the `whole` data."""
     found = observed.missed == 0
-    counts = {"share found": _mean(found)}
-    counts |= _by_range(observed, whole, found)
-    counts |= _of_boxes(observed) | _of_time(observed, found) | _of_false(observed)
-    return counts
+    counts = {"share found": _mean(found)} | _by_range(observed, whole, found) | _of_boxes(observed)
+    return counts | _of_time(observed, found) | _of_false(observed)
 
 
 def _mean(values: Array | Mask) -> tuple[float, float]:
@@ -211,8 +201,7 @@ def _mean(values: Array | Mask) -> tuple[float, float]:
 def _by_range(observed: Observed, whole: Observed, found: Mask) -> Counts:
     """Share found by thirds of size and of distance, and of the visible share where it is known."""
     counts: Counts = {}
-    columns = {"px large": "size_px", "m away": "depth_m"}
-    for unit, column in columns.items():
+    for unit, column in {"px large": "size_px", "m away": "depth_m"}.items():
         values = getattr(observed.labelled.annotations, column)
         every = values[whole.rows]
         if not np.isfinite(every).all() or np.ptp(every) == 0:
@@ -291,12 +280,9 @@ def _of_false(observed: Observed) -> Counts:
     }
 
 
-# ---- What trackers make of it ----
-
-
 def hota_counts(observed: Observed) -> Counts:
-    """HOTA of trackers, with their settings for scenes that are not shipped, counted once for each vessel in an image.
-    There is none where vessels have no identities, images no times, or a library of the trackers is not installed."""
+    """HOTA of trackers, counted once for each vessel in an image, with settings for scenes not shipped; none without
+    identities, times of images or an installed library of trackers."""
     labelled, rows = observed.labelled, observed.labelled.annotations
     image = np.flatnonzero(observed.image_state >= 0)
     known = np.isfinite(labelled.images.time_s[image]).all() and np.isfinite(labelled.images.sizes_px[image]).all()
@@ -372,8 +358,8 @@ class _Films:
 
 @dataclass(frozen=True, eq=False)
 class SequencePart:
-    """Images of one sequence and size, as the detector takes them: frames and targets. With the rows of the images
-    (S,), of the annotations in them that count (n,), and the state in each frame (S,)."""
+    """Images of one sequence and size, as the detector takes them, with their rows (S,), those of annotations that
+    count (n,), and states (S,)."""
 
     images: Indices
     rows: Indices
@@ -404,8 +390,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[SequencePa
         frame = place[annotations.image[rows]]
         ordinal = np.arange(len(rows)) - np.searchsorted(frame, frame)
         identity = annotations.identity[rows]
-        known = identity >= 0
-        names, vessel = np.unique(np.where(known, identity, -1 - ordinal), return_inverse=True)
+        names, vessel = np.unique(np.where(identity >= 0, identity, -1 - ordinal), return_inverse=True)
         given = images.half_planes[ours]
         half_planes = np.where(np.isnan(given), EVERYWHERE, given)
         size = (int(key[1]), int(key[2]))
@@ -433,8 +418,7 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
     columns: list[Results] = []
     for part in parts:
         times = part.frames.times_s
-        changes = run_starts(part.states)
-        schedule = tuple((float(times[k]), int(part.states[k])) for k in changes)
+        schedule = tuple((float(times[k]), int(part.states[k])) for k in run_starts(part.states))
         held = replace(model, performance=Performance(True, schedule), transition_interval_s=None)
 
         def clock(first: int, stop: int, times: Array = times) -> Array:

@@ -32,9 +32,8 @@ class Transitions:
 
     @property
     def matrix(self) -> Array:
-        """(N_ij + 1) / (Σ_i N_ij + n), shape (n, n): one transition of each kind is added, as in eq. 6.21. Columns sum
-        to one. Those of eq. 6.21 do not, because it divides by the length of the whole sequence. Without a sequence,
-        every state stays as it is."""
+        """(N_ij + 1) / (Σ_i N_ij + n), shape (n, n): one transition of each kind is added, as in eq. 6.21, but columns
+        sum to one, as it divides by the whole sequence's length. Without a sequence, every state stays as it is."""
         n = len(self.counts)
         if not self.observed:
             return np.eye(n)
@@ -129,14 +128,12 @@ def each_its_own(conditions: Sequence[str]) -> StateMap:
 
 
 def cluster(f1: Mapping[str, float], count: int) -> StateMap:
-    """Cluster conditions by their F1 into so many intervals with the least sum of squares within. On a line the best
-    clusters are intervals. Dynamic programming tries all of them (Fisher (1958)), so the answer is always the same,
-    unlike that of k-means from random starts. Raises InputError if there are fewer conditions than states."""
+    """Cluster conditions by F1 into so many intervals with the least sum of squares within, by dynamic programming over
+    all (Fisher (1958)), unlike k-means from random starts. Raises InputError with fewer conditions than states."""
     if count > len(f1):
         raise InputError("states", [f"--states {count}: there are only {len(f1)} conditions"])
     names = sorted(f1, key=lambda name: (-f1[name], name))
-    values = np.array([f1[name] for name in names])
-    edges = _best_split(values, count)
+    edges = _best_split(np.array([f1[name] for name in names]), count)
     titles = NAMES.get(count) or tuple(f"state_{k + 1}" for k in range(count))
     return StateMap({title: tuple(names[a:b]) for title, (a, b) in zip(titles, edges, strict=True)})
 
@@ -162,9 +159,9 @@ def _best_split(values: Array, count: int) -> list[tuple[int, int]]:
 
 
 def transitions_of(images: Images, image_state: Indices, states: int, interval_s: float | None = None) -> Transitions:
-    """The chain that frames show whose condition changes while they run; sets of one condition show none. Cameras that
-    had the same states at the same times share a chain and count once. Images are in a state (I,), −1 for none.
-    `interval_s` is the time between transitions; if None, one at each frame, and the usual time between frames."""
+    """The chain that frames show whose condition changes while they run; sets of one condition show none. Cameras with
+    the same states at the same times count once. States of images (I,) are −1 for none. If the time between transitions
+    is None, there is one at each frame, with the usual time between."""
     changing = [s for s in np.unique(images.source) if len(np.unique(image_state[images.source == s])) > 1]
     frames = []
     for sequence in np.unique(images.sequence):

@@ -103,9 +103,8 @@ def latent_share(errors: persistence.WhiteErrors) -> Callable[[Array], Array]:
 def with_things(
     learned: T, labelled: LabelledSet, errors: persistence.WhiteErrors, states: tuple[str, ...], share: float
 ) -> T:
-    """Learned errors whose replicates spread as far as things that keep a share make the numbers stray. Means stray by
-    the share of a variance, and spreads and correlations, which are made of squares, by its square, each over as many
-    things as there are in the state. Runs of frames that are resampled have the same things."""
+    """Learned errors whose replicates spread as far as things that keep a share make the numbers stray: means by the
+    share of a variance, spreads and correlations, made of squares, by its square, over as many things as there are."""
     annotations, images = labelled.annotations, labelled.images
     things = errors.state, images.sequence[annotations.image[errors.rows]], annotations.identity[errors.rows]
     keys, count = np.unique(np.column_stack(things), axis=0, return_counts=True)
@@ -206,8 +205,7 @@ class ErrorPersistence:
 def _consecutive(
     observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm]
 ) -> tuple[Consecutive, list[ErrorModel | None]]:
-    """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use. And
-    those laws."""
+    """Errors in consecutive frames by each state's law, or the plain one if its tails leave nothing; and those laws."""
     models: list[ErrorModel | None] = []
     for laws in ([form.law for form in forms], ["normal"] * len(forms)):
         models = [
@@ -286,7 +284,6 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
 
 
 def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
-    """The first source with enough pairs that have all sides in the image."""
     pairs = observed.pairs
     whole = pairs.edges.whole
     own, every = int(np.count_nonzero(whole & (pairs.state == state))), int(np.count_nonzero(whole))
@@ -342,7 +339,6 @@ def _things_keep(
 
 
 def _why_none(sources: list[ErrorSource]) -> str:
-    """Reason why no two errors can be compared."""
     if ErrorSource.OWN_STATE not in sources:
         return f"no state has {ERRORS_NEEDED} matches with all sides inside the image"
     return "nothing has two matches with the same side far inside the image"

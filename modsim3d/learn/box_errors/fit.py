@@ -32,8 +32,7 @@ class Gate:
 
     @classmethod
     def of(cls, edges: MatchedEdges, model: ErrorModel) -> Gate | None:
-        """The rule over boxes with errors that are about like those of a distribution; None if they hardly ever fail.
-        At most a few hundred are sampled, evenly over boxes in the order of shape, size and distance to the border."""
+        """The rule over a few hundred boxes with errors about like a distribution's; None if they hardly ever fail."""
         stretched = replace(model, std=_STRETCH * model.std, growth=_STRETCH * model.growth)
         risky = np.zeros(len(edges), dtype=bool)
         for first in range(0, len(edges), _SCREENED_AT_ONCE):
@@ -134,12 +133,6 @@ class Completed:
     outward_px: Array  # how far each edge lies outside the true one, shape (m, p, 4)
     weights: Array  # of each point, sum to one, shape (m, p)
     log_likelihood: Array  # of the known and censored edges, shape (m,)
-
-
-def standard_errors(model: ErrorModel, sides_px: Array, outward_px: Array) -> Array:
-    """Standardised errors from edges (m, p, 4) of boxes of width, height, width, height (m, 4)."""
-    mean, std = model.at(sides_px)
-    return (outward_px @ ERRORS.T - mean[:, None]) / std[:, None]
 
 
 def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[Completed]:
@@ -267,7 +260,8 @@ def slopes(model: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> Slopes:
     """Log-likelihood and slopes of a distribution, given boxes and what matching cuts off."""
     statistics, value = np.empty((len(edges), 14 + model.heavy)), 0.0
     for part in completed(model, edges):
-        standard = standard_errors(model, edges.sides_px[part.rows], part.outward_px)
+        mean, std = model.at(edges.sides_px[part.rows])
+        standard = (part.outward_px @ ERRORS.T - mean[:, None]) / std[:, None]
         statistics[part.rows] = model.mean_statistics(standard, part.weights)
         value += float(part.log_likelihood.sum())
     if gate is not None:
@@ -290,9 +284,8 @@ _REFITS = 2
 
 
 def gain_beside_strays(fit: ErrorFit, plain: ErrorFit) -> float:
-    """Log-likelihood of a fit less that of a plainer one, if a hundredth of the boxes may be strays. A false positive
-    that lies on a missed vessel matches it, and one such box in thousands looks like heavy tails. Strays are spread
-    five times as far as the plainer errors, which are fitted without them."""
+    """Log-likelihood of a fit less that of a plainer one, if a hundredth of the boxes may be strays, spread five times
+    as far, which look like heavy tails: false positives on missed vessels. The plainer one is fitted without them."""
     edges, model = plain.edges, plain.model
     wide = replace(model, std=_WIDE * model.std, growth=_WIDE * model.growth)
     stray = log_likelihoods(wide, edges, None) + np.log(_STRAYS)
@@ -373,7 +366,6 @@ def _step(inverse: Array, score: Array, held: Mask) -> Array:
 
 
 def _size(step: Array, model: ErrorModel) -> float:
-    """The longest step of any number, of means in standard deviations."""
     scaled = step.copy()
     scaled[:4] /= model.std
     if model.unit == "mixed":
@@ -396,5 +388,4 @@ def _expected_information(model: ErrorModel, edges: MatchedEdges) -> Array:
     covariance = statistics.T @ statistics / len(statistics)
     gains, places = model.gains(edges.sides_px), model.places
     information = covariance[np.ix_(places, places)] * (gains.T @ gains)
-    scale = np.sqrt(np.diag(information))
-    return information + 1e-6 * np.diag(scale**2)
+    return information + 1e-6 * np.diag(np.sqrt(np.diag(information)) ** 2)

@@ -154,7 +154,6 @@ def _mixed_may_be_heavy(fits: ErrorFits, plain: ChosenLaw) -> bool:
 
 
 def _sides_differ(edges: matched_edges.MatchedEdges) -> bool:
-    """Whether widths or heights differ so much that errors could follow them."""
     low, high = np.quantile(edges.sides_px, [0.1, 0.9], axis=0)
     return bool(np.any(high > _MAX_ALIKE * low))
 

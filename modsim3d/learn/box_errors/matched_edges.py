@@ -1,7 +1,6 @@
-"""The edges of matched boxes, and what each says about the error of the box. An edge that the detector put on the
-image's border, where the true edge lies inside the image, is censored: without the border it would lie at the border or
-beyond it. An edge of which the truth is cut by the border is left out, because many detectors put such an edge exactly
-on the border. All other edges are known."""
+"""The edges of matched boxes, and what each says about the error of the box. One that the detector put on the image's
+border, where the true one lies inside, is censored: it would lie there or beyond. One whose truth is cut by the border
+is left out, because many detectors put it exactly on the border. All others are known."""
 
 from __future__ import annotations
 
@@ -117,8 +116,8 @@ class MatchedEdges(Columns):
         return np.concatenate([self.truth_px[:, :2] - self.least_px, self.most_px - self.truth_px[:, 2:]], axis=1)
 
     def passes(self, outward_px: Array) -> Mask:
-        """Whether boxes with edges so far outside the true ones, shape (n, p, 4), would match, shape (n, p). Boxes are
-        clipped to the image. Those that keep less than a pixel of width or height do not count."""
+        """Whether boxes with edges so far outside the true ones, (n, p, 4), would match, (n, p): at least a pixel wide
+        and high once clipped to the image."""
         # Seen from the true box's corner, so that numbers stay small: 0 to side is the true box.
         inward, sides = self.inward_px[..., None], self.sides_px[..., None]
         shifts: list[Array] = []
@@ -144,8 +143,7 @@ class MatchedEdges(Columns):
         return passes
 
     def surely_passes(self, most_px: Array) -> Mask:
-        """Whether boxes match however their edges lie, if each is at most so far off, (n, 4), either way; shape (n,).
-        Clipping to the image only brings edges nearer to the true ones."""
+        """Whether boxes match if no edge is farther off than (n, 4), either way; clipping brings edges nearer; (n,)."""
         inside = (self.inward_px >= 0).all(axis=1)
         side, off = self.sides_px[:, :2], most_px[:, :2] + most_px[:, 2:]
         sure: Mask = inside & np.all(side - off >= 1, axis=1)

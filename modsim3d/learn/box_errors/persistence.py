@@ -26,8 +26,7 @@ _EDGES = 2 ** np.arange(4)
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Rows of the same thing in consecutive frames, which edges count in both, time between, shapes (m,). `edges` is
-    the sum of powers of two of the edges."""
+    """Rows of a thing in consecutive frames, sums of powers of two of edges that count in both, time between, (m,)."""
 
     earlier: Indices
     later: Indices
@@ -67,11 +66,10 @@ def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
 def _settled(
     observed: Observed, models: tuple[ErrorModel | None, ...]
 ) -> tuple[persistence.Consecutive, Sequence[Array | None]]:
-    """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened.
-    The last are kept: what is learned of one set asks for the same several times over. Few errors that persist do not
-    tell their correlation well, and whitened by it they look less alike from frame to frame than they are. Changes from
-    frame to frame are independent of each other. So errors are whitened by the correlation of changes, which depends on
-    the correlation time: both are found in a few rounds."""
+    """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened,
+    kept, as what is learned of one set asks for the same several times. It is that of changes from frame to frame,
+    which are independent of each other, where few errors that persist would tell it poorly and look less alike. It
+    depends on the correlation time: both are found in a few rounds."""
     pairs = observed.pairs
     patterns = _clear_edges(pairs, models) @ _EDGES
     kept = np.flatnonzero(patterns)
@@ -161,9 +159,8 @@ def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:
 def _whitened(
     pairs: Pairs, models: Sequence[ErrorModel | None], shapes: Sequence[Array | None], rows: Indices, chosen: Indices
 ) -> Array:
-    """Some edges of some boxes as uncorrelated numbers of variance one, shape (m, k). `shapes` are the correlations of
-    each state's errors. Of heavy tails only the direction: lengths would hide how the normal numbers behind them
-    persist."""
+    """Some edges of some boxes as uncorrelated numbers of variance one, (m, k), given the correlations of each state's
+    errors. Of heavy tails only the direction: lengths would hide how the normal numbers behind them persist."""
     edges, white = pairs.edges, np.zeros((len(rows), len(chosen)))
     for state, (model, shape) in enumerate(zip(models, shapes, strict=True)):
         ours = np.flatnonzero(pairs.state[rows] == state)
@@ -189,8 +186,7 @@ _ALIKE_P = 1e-3  # chance below which components that all last alike would diffe
 
 @dataclass(frozen=True, eq=False)
 class ComponentMemory:
-    """Shares of the numbers behind e_x, e_y, e_w, e_h, and behind the size of errors with heavy tails, in c columns.
-    `vessel_share` has shape (c,), `shares` (parts, c)."""
+    """Shares of the numbers behind e_x, e_y, e_w, e_h and the size of heavy-tailed errors, (c,) and (parts, c)."""
 
     vessel_share: Entry
     shares: Entry
@@ -206,8 +202,7 @@ class ComponentMemory:
 
 
 def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[lags.LagTable], float]:
-    """Products at all times between of each component, and of the size of errors where tails are heavy. Also the share
-    of large errors, 0 without heavy tails."""
+    """Products at all times between of components, and of the size of heavy-tailed errors; share of large ones."""
     pairs = observed.pairs
     rows = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
     latent, large = np.zeros((len(rows), 4)), np.zeros(len(rows), dtype=bool)
@@ -230,8 +225,8 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
 
 
 def components_differ(tables: Sequence[lags.LagTable]) -> bool:
-    """Whether the four components clearly last differently long: mean correlations over all lags, less their mean.
-    Their covariance is that of leaving single things out."""
+    """Whether the four components clearly last differently long, by mean correlations over all lags, less their mean,
+    and their covariance when single things are left out."""
     first = tables[0]
     if first.things < lags.THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
         return False
@@ -240,8 +235,7 @@ def components_differ(tables: Sequence[lags.LagTable]) -> bool:
     left_out = np.array([np.average(table.ratios_without_each(), axis=1, weights=table.weight) for table in tables[:4]])
     apart, strays = found[:3] - found[3], left_out[:3] - left_out[3]
     count = strays.shape[1]
-    covariance = np.cov(strays, bias=True) * (count - 1)
-    distance = float(apart @ np.linalg.pinv(covariance) @ apart)
+    distance = float(apart @ np.linalg.pinv(np.cov(strays, bias=True) * (count - 1)) @ apart)
     return bool(special.fdtrc(3, count - 3, distance * (count - 3) / (3 * (count - 1))) < _ALIKE_P)
 
 

@@ -28,8 +28,8 @@ _MAX_TURN = 1.0  # a larger heading that changes by more radians between two row
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """The attitude of the vessel that carries a camera, as the columns of `ownship.csv` have it. Roll, pitch and
-    heading are port side down, bow down, counter-clockwise from w1; the heading does not jump from π to −π."""
+    """Attitude of the vessel that carries a camera, as in `ownship.csv`: port side down, bow down, counter-clockwise
+    from w1; the heading does not jump from π to −π."""
 
     vessel: str  # its ID
     time_s: Array  # since the scene's first step, ascending, (n,)
@@ -40,8 +40,7 @@ class Attitude:
         after = np.clip(np.searchsorted(self.time_s, times_s), 1, len(self.time_s) - 1)
         last, first = self.time_s[after - 1], self.time_s[after]
         inside = (times_s >= last) & (times_s <= first) & (first - last <= MAX_APART_S)
-        at_a_row = np.minimum(np.abs(times_s - last), np.abs(times_s - first)) <= _NEAR_S
-        return inside | at_a_row
+        return inside | (np.minimum(np.abs(times_s - last), np.abs(times_s - first)) <= _NEAR_S)
 
     def at(self, times_s: Array, headings_rad: Array) -> Array:
         """Roll, pitch, and what the heading differs from that of the scene, at some times, shapes (k,), (k, 3)."""
@@ -68,10 +67,9 @@ def _check(time_s: Array, angles_rad: Array, source: str, where: Sequence[str]) 
 
 
 def read_attitude(path: Path, scene: Scene) -> Attitude:
-    """The attitude in a table, as CSV or Parquet, such as the `ownship.csv` of `modsim3d export --format csv`. Columns
-    are a time, as in logs of detections, `roll_rad`, `pitch_rad`, `heading_rad`, and `vessel` if rows are of several. A
-    column `yaw_rad`, as `ownship.parquet` has, is added to the heading. Raises InputError if it cannot be read, a row
-    is wrong, or no camera is on board a vessel of it."""
+    """The attitude in a table, CSV or Parquet, such as the `ownship.csv` of `modsim3d export --format csv`. Columns are
+    a time, as in logs of detections, `roll_rad`, `pitch_rad`, `heading_rad`, plus `yaw_rad` if there is one, and
+    `vessel` if there are several. Raises InputError if one is wrong, or no camera is on board a vessel of it."""
     source = f"attitude {path}"
     carriers = [scene.vessel_names[index] for index in scene.own_ships]
     if not carriers:
@@ -148,9 +146,9 @@ class Sampler:
         self._every_s = scene.times_s(0, scene.steps)
 
     def at(self, times_s: Array) -> PosesInWaves:
-        """Poses of the V vessels, waves included, at ascending times since the first step (n,), from 0 to that of the
-        last. Places, heave and angles are linear between two steps, headings turn along the shorter arc, and a vessel
-        is there if it is there at both. At the time of a step they are those of the step, to the last bit."""
+        """Poses of the V vessels, waves included, at ascending times of the scene (n,). Places, heave and angles are
+        linear between two steps, headings turn along the shorter arc, and a vessel is there if it is there at both. At
+        the time of a step they are those of the step, to the last bit."""
         scene, every = self._scene, self._every_s
         before = np.clip(np.searchsorted(every, times_s + NEAR_S, side="right") - 1, 0, scene.steps - 1)
         after = np.minimum(before + 1, scene.steps - 1)

@@ -22,13 +22,10 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import RecordedPoses
 
-# ---- Vessels put where a registration says that they are ----
-
 
 def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
-    """A scene whose vessels are off their reports by `offsets` (V, 3): antenna towards the bow and to port of the
-    centre in metres, and delay of reports in seconds. A report that is late says where a vessel was; before its first
-    and after its last pose a vessel is at that pose."""
+    """A scene whose vessels are off their reports by `offsets` (V, 3): antenna ahead and to port of the centre in m,
+    and delay in s: a late report says where a vessel was; before its first and after its last pose it is there."""
     if not offsets.any():
         return scene
     every_s, known = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
@@ -44,8 +41,7 @@ def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
         ahead, port = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
         places[:2] = np.array(places[:2]) - along * ahead - across * port
         positions[steps, vessel], headings[steps, vessel] = np.stack(places, axis=-1), heading
-    poses = RecordedPoses(scene.poses.timestamps, Poses(known.present, positions, headings))
-    return replace(scene, poses=poses)
+    return replace(scene, poses=RecordedPoses(scene.poses.timestamps, Poses(known.present, positions, headings)))
 
 
 # ---- Means that a user knows of what registration cannot tell from a camera and a clock ----
@@ -88,8 +84,8 @@ _FORM = f"must be NAME=VALUE,..., such as mean_x=1.5,delay=2, with the names {',
 
 
 def parse_known(given: str | Mapping[str, float] | KnownMeans | None) -> KnownMeans:
-    """Means from a text such as `mean_x=1.5,delay=2`, or a mapping of names to values. Raises InputError if a name is
-    unknown or there twice, or a value is no number or too large."""
+    """Means from a text such as `mean_x=1.5,delay=2`, or a mapping. Raises InputError if a name is unknown or there
+    twice, or a value is no number or too large."""
     if given is None or isinstance(given, KnownMeans):
         return given or NOTHING_KNOWN
     known, problems = NOTHING_KNOWN, []
@@ -129,7 +125,7 @@ _SIZES = frozenset({"length", "beam", "air draft"})
 
 def position_noise_m(scene: Scene, given: float | None) -> float:
     """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without. Raises
-    InputError if the given one is negative, or so large that positions say nothing."""
+    InputError if it is negative, or too large."""
     if given is None:
         return POSITION_M if read_reports(scene.path) is not None else 0.0  # only with AIS are there reports
     if not 0 <= given <= MAX_NOISE_M:
@@ -149,8 +145,7 @@ class Registering:
     known: KnownMeans = NOTHING_KNOWN
 
     def of(self, scene: Scene, log: CameraLog, source: str) -> Registration | None:
-        """The registration of the camera of a log, which messages call `source`; None if all of it is fixed. Raises
-        ModsimError, with the reason, if it cannot be known."""
+        """Registration of a log's camera, `source`; None if all is fixed. Raises ModsimError if it is unknown."""
         if ALL in self.fixed:
             return None
         camera = scene.cameras[log.camera]
@@ -181,8 +176,8 @@ class Registering:
 
 
 def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Names of parameters from a text such as `pitch,yaw`, or a list of them; names with units, too. Raises InputError
-    if a name is not known, or `all` does not stand alone."""
+    """Names of parameters, perhaps with units, from a text such as `pitch,yaw`, or a list. Raises InputError if one is
+    not known, or `all` does not stand alone."""
     fixed = tuple(text.strip() for text in (names.split(",") if isinstance(names, str) else names or ()))
     known = (*FIXED_NAMES, ALL)
     if unknown := [name for name in fixed if SHORT_OF.get(name, name) not in known]:

@@ -28,8 +28,7 @@ REGISTRATION = "registration.json"  # what was registered, clocks of logs includ
 
 
 def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:
-    """Notes on each camera beside a scene file, `clock_s` at least; empty if nothing was registered. Raises InputError
-    if the file is wrong."""
+    """Notes on each camera beside a scene file, `clock_s` at least, or empty. Raises InputError if it is wrong."""
     path = scene.parent / REGISTRATION
     if not path.is_file():
         return {}
@@ -59,8 +58,8 @@ _BYTES_PER_VALUE = 3
 
 @dataclass(frozen=True, eq=False)
 class Reports:
-    """Facts about the reports that a scene's poses were made of. Times of each vessel's positions ascend from the first
-    step: `used_s`, empty for an older scene, and `jumps_s`, where it cannot have been and which were dropped."""
+    """Facts about the reports behind a scene's poses: times of each vessel's positions since the first step, ascending,
+    `used_s`, empty for an older scene, and those of dropped ones, `jumps_s`, where it cannot have been."""
 
     start_s: float  # Unix time of the scene's first step
     used_s: Mapping[str, Array] = field(default_factory=dict)
@@ -132,8 +131,7 @@ class SceneClock:
 
 
 def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock: SceneClock) -> Array:
-    """Times by a clock, (n,), as times since the scene's first step, (n,). Raises InputError, which names their
-    `source`, if they are UTC and the scene does not say when it starts."""
+    """Times by a clock, (n,), since the scene's first step. Raises InputError if that is UTC and the scene has none."""
     if kind is Clock.STEP:
         return times_s
     if kind is Clock.STAMP:
@@ -150,20 +148,17 @@ def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock
 
 
 def within_scene(log_s: Array, clock_s: float, length_s: float) -> tuple[Array, Mask]:
-    """Times of a log's F frames by a registered clock, and which of them are within the scene, from 0 to `length_s`:
-    (F,) each. `log_s` are ascending, since the scene's first step by the log's own clock, and `clock_s` is added to
-    them; 0 if it was not registered. A clock is not known to the millisecond: a frame that it puts outside by less than
-    half the time between two frames, and by 0.1 s at most, is at the scene's first or last step."""
+    """Times of a log's F frames by a registered clock, and which are within the scene, from 0 to `length_s`, (F,) each.
+    `log_s` ascend by the log's own clock; `clock_s` is added, 0 if not registered. A clock is not known to the
+    millisecond: frames outside by less than half the time between two, and 0.1 s at most, are at the nearest step."""
     frame_s = float(np.diff(log_s).min()) if len(log_s) > 1 else 0.0
     outside_s = max(min(frame_s / 2, _OUTSIDE_S), _NEAR_S) if clock_s else _NEAR_S
     times_s = log_s + clock_s
-    inside = (times_s >= -outside_s) & (times_s <= length_s + outside_s)
-    return np.clip(times_s, 0, length_s), inside
+    return np.clip(times_s, 0, length_s), (times_s >= -outside_s) & (times_s <= length_s + outside_s)
 
 
 def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:
-    """Refuse a log whose frames, at `times_s` (F,) since the scene's first step, are mostly outside of the scene.
-    Raises InputError with both spans."""
+    """Raise InputError, with both spans, for a log with most frames, at `times_s` (F,), outside of the scene."""
     outside = (times_s < -_NEAR_S) | (times_s > clock.length_s + _NEAR_S)
     if 2 * outside.sum() <= len(outside):
         return

@@ -18,7 +18,7 @@ from modsim3d.learn.matches import Observed
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections
-from modsim3d.learn.voyage.non_ais.tracklets import Behaviour
+from modsim3d.learn.voyage.non_ais.linking import Behaviour
 from modsim3d.learn.voyage.reference_error import View
 from modsim3d.scene.ais.options import time_text
 from modsim3d.view.pages.charts import svg, svg_text
@@ -48,8 +48,7 @@ class Coverage:
         """Edges of cells of range: 1, 2, 5, 10 and so on, ascending."""
         series = np.array([digit * 10.0**power for power in range(7) for digit in (1, 2, 5)])
         first = max(int(np.searchsorted(series, self.range_m.min(), side="right")) - 1, 0)
-        last = int(np.searchsorted(series, self.range_m.max(), side="right"))
-        return series[first : last + 1]
+        return series[first : int(np.searchsorted(series, self.range_m.max(), side="right")) + 1]
 
     def bearings_between(self, low_m: float, high_m: float) -> tuple[float, float]:
         """The lowest and the highest bearing from one range up to another."""
@@ -60,8 +59,7 @@ class Coverage:
         """Numbers matched and to be matched in each cell of bearing and range, shapes (bearings, ranges)."""
         edges = [self.bearings_deg, self.ranges_m]
         whole = np.histogram2d(self.bearing_deg, self.range_m, edges)[0]
-        matched = np.histogram2d(self.bearing_deg[self.found], self.range_m[self.found], edges)[0]
-        return matched, whole
+        return np.histogram2d(self.bearing_deg[self.found], self.range_m[self.found], edges)[0], whole
 
 
 def coverages(observed: Observed, views: Sequence[View]) -> list[Coverage]:
@@ -85,10 +83,8 @@ def coverages(observed: Observed, views: Sequence[View]) -> list[Coverage]:
 
 def bearings(camera: Camera, boxes_px: Array, depth_m: Array | float) -> tuple[Array, Array]:
     """Bearing from the camera's axis in degrees, to the right, and horizontal range, of boxes (n, 4), shapes (n,)."""
-    size = np.array(camera.intrinsics.image_size_px, dtype=np.float64)
-    pixels = np.clip(centre_form(boxes_px)[:, :2], 0, size)
-    rays = camera.intrinsics.unproject(pixels, np.ones(len(pixels)))
-    across = np.nan_to_num(rays[:, 0])
+    pixels = np.clip(centre_form(boxes_px)[:, :2], 0, np.array(camera.intrinsics.image_size_px, dtype=np.float64))
+    across = np.nan_to_num(camera.intrinsics.unproject(pixels, np.ones(len(pixels)))[:, 0])
     return np.degrees(np.arctan(across)), np.asarray(depth_m * np.hypot(1.0, across))
 
 
@@ -141,11 +137,6 @@ class FrameStretch:
         """The time of a frame by the log's clock, as `--empty` takes it: UTC if the scene says when it starts."""
         time_s = float(self.time_s[place])
         return f"{time_s:.1f} s" if self.start_s is None else time_text(self.start_s + time_s)
-
-    @property
-    def lasts_s(self) -> float:
-        """From the first frame to the last."""
-        return float(self.time_s[-1] - self.time_s[0])
 
 
 def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> list[FrameStretch]:
@@ -227,8 +218,6 @@ def _of(stretches: list[FrameStretch]) -> str:
 def _times(each: FrameStretch) -> tuple[str, str, str]:
     return each.when(0), each.when(-1), f"{len(each.image):,}"
 
-
-# ---- Drawings of a voyage ----
 
 _CELL = (78.0, 34.0)
 _LEFT, _TOP, _BELOW = 96.0, 20.0, 36.0
@@ -313,8 +302,7 @@ class _Part:
         width = min(max(_AROUND * max(right - left, bottom - top), _MIN_PX), whole)
         tall = width * high / whole
         x = min(max((left + right - width) / 2, 0.0), whole - width)
-        y = min(max((top + bottom - tall) / 2, 0.0), high - tall)
-        return cls(x, y, width, _SKETCH_WIDTH * high / whole)
+        return cls(x, min(max((top + bottom - tall) / 2, 0.0), high - tall), width, _SKETCH_WIDTH * high / whole)
 
     def of(self, box_px: Array) -> Array:
         """A box, or any x, y, x, y, in the drawing, shape (4,)."""
@@ -339,11 +327,9 @@ def _ring(box: Array) -> str:
 
 
 def _horizon(half_plane: Array, part: _Part) -> Iterator[str]:
-    """The horizon a·x + b·y + c = 0 across the part."""
     a, b, c = half_plane.tolist()
     if not np.isfinite(half_plane).all() or not b:
         return
     first, last = part.left_px, part.left_px + part.width_px
-    ends = part.of(np.array([first, -(a * first + c) / b, last, -(a * last + c) / b]))
-    x1, y1, x2, y2 = ends.tolist()
+    x1, y1, x2, y2 = part.of(np.array([first, -(a * first + c) / b, last, -(a * last + c) / b])).tolist()
     yield f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="var(--line)"/>'

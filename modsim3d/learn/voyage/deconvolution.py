@@ -31,10 +31,9 @@ _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
 
 @dataclass(frozen=True, eq=False)
 class LessNoise:
-    """Errors of one state, less those of truth. Where these were not `taken_off` a component, e_x, e_y, e_w or e_h, it
-    is an upper bound. `at_least` are standard deviations of what changes from frame to frame, which is the detector's,
-    nan where frames do not tell; `noise_std` are those that errors of truth give, in the unit of the errors; `before`
-    and `after` are those learned and those written, means over the boxes."""
+    """Errors of one state, less those of truth; where one of e_x, e_y, e_w, e_h was not `taken_off`, an upper bound.
+    `at_least` are standard deviations of what changes from frame to frame, the detector's, nan if unknown; `noise_std`
+    are those by errors of truth, in the unit of the errors; `before` and `after` are means over boxes."""
 
     errors: LearnedErrors  # what is written
     taken_off: Mask  # (4,), as are the next
@@ -47,25 +46,18 @@ class LessNoise:
     @property
     def bounds(self) -> tuple[str, ...]:
         """Names of the components that are upper bounds."""
-        names = zip(ERROR_COMPONENTS, self.taken_off, strict=True)
-        return tuple(name for name, taken in names if not taken)
+        return tuple(name for name, taken in zip(ERROR_COMPONENTS, self.taken_off, strict=True) if not taken)
 
 
 def less_noise(
-    errors: LearnedErrors,
-    noise: Array,
-    sides_px: Array,
-    level: float,
-    measured: Array | None,
-    at_least: Array,
-    cut_off: bool = False,
+    errors: LearnedErrors, noise: Array, sides_px: Array, level: float, measured: Array, at_least: Array, cut_off: bool
 ) -> LessNoise:
     """Take the covariance of errors of truth off the errors of a state, where the rest is surely positive: where its
     interval of the level does not reach 0. `noise` is the covariance in the errors' unit, estimate and replicates,
     (rows, 4, 4); `sides_px` are width, height, width and height of the boxes, (n, 4).
     The law keeps its form: of mixed errors, whose standard deviations grow with the side, both parts shrink alike.
     Correlations with a component that is an upper bound are unknown: they keep their estimate, but no replicates.
-    The part is taken off the covariances `measured` of the errors themselves, (rows, 4, 4), None if unknown: errors of
+    The part is taken off the covariances `measured` of the errors themselves, (rows, 4, 4): errors of
     truth differ from box to box, so that the likeliest law has not quite their covariance. Those of components that are
     far from it, as wrong matches make them, are not used; but where they are smaller, they must surely be larger than
     errors of truth. Matching may have `cut_off` errors, which only the law knows."""
@@ -73,12 +65,11 @@ def less_noise(
     growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
     products = _mean_products(std, growth, sides_px)
     whole = products * _matrix(correlation)
-    if measured is not None and not cut_off:
+    if not cut_off:
         whole = _as_measured(whole, measured)
-    taken = _sure(whole, noise, level)
-    if measured is not None:  # tails of the law may be wider than the errors
-        smaller = np.diag(measured[0]) < np.diag(whole[0])
-        taken = taken & (_sure(measured, noise, level) | ~smaller)
+    # Tails of the law may be wider than the errors.
+    sure = _sure(measured, noise, level) | ~(np.diag(measured[0]) < np.diag(whole[0]))
+    taken = _sure(whole, noise, level) & sure
     part = noise * (taken[:, None] & taken[None, :])
     if np.linalg.eigvalsh(whole[0] - part[0])[0] <= 0:
         taken, part = np.zeros(4, dtype=bool), np.zeros_like(part)
@@ -102,8 +93,8 @@ def less_noise(
 
 
 def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tuple[Array, Array]:
-    """Factors of the standard deviations of a law, (rows, 4), and its correlations (rows, 6), after a part is taken off
-    the components `taken` (4,). `products` are means of σ_j σ_k of the law, `rest` what is left, (rows, 4, 4) each."""
+    """Factors of a law's standard deviations, (rows, 4), and its correlations (rows, 6), less parts of components
+    `taken` (4,), from means of σ_j σ_k of the law, and what is left, (rows, 4, 4) each."""
     variance = np.einsum("bii->bi", products)
     least = np.maximum(np.einsum("bii->bi", rest), _MIN_PART * variance)
     factors = np.sqrt(least / np.where(variance > 0, variance, 1.0))
@@ -118,8 +109,8 @@ def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tu
 
 def _as_measured(law: Array, measured: Array) -> Array:
     """Covariances of the law (rows, 4, 4) with standard deviations as measured, where both are nearly the same. A
-    vessel that is not where it is thought to be makes errors of one component that are far from the law. The tails of
-    the law, which all components share, are then too wide for the others. Where all are alike, so are correlations."""
+    vessel that is elsewhere makes one component's errors far from the law, and its tails, which all share, too wide for
+    the others. Where all are alike, so are correlations."""
     ratio = np.sqrt(np.einsum("bii->bi", measured) / np.maximum(np.einsum("bii->bi", law), 1e-300))
     alike = np.abs(ratio[0] - 1) <= _ALIKE
     if alike.all():
@@ -167,18 +158,16 @@ _LEAST = 0.01  # correlation from one frame to the next that a replicate keeps: 
 
 def share_left(entry: Entry, part: Array) -> Entry:
     """The share of errors that vessels keep, less a part (rows,) of all errors that is kept for ever."""
-    left = np.maximum((entry.column.values - part) / (1 - part), 0)
-    return replace(entry, column=replace(entry.column, values=left))
+    return _with(entry, np.maximum((entry.column.values - part) / (1 - part), 0))
 
 
 def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
     """The correlation time of errors, less a part (rows,) of all errors that is kept for ever. It was learned from
     frames that follow each other, so their correlation is what must come out."""
-    correlation = np.exp(-gap_s / np.maximum(entry.column.values, 1e-9))
-    left = np.clip((correlation - part) / (1 - part), 0, 1)
+    left = np.clip((np.exp(-gap_s / np.maximum(entry.column.values, 1e-9)) - part) / (1 - part), 0, 1)
     left[1:] = np.maximum(left[1:], _LEAST)
     time_s = np.where(left > 0, gap_s / -np.log(np.clip(left, 1e-12, 1 - 1e-12)), 0.0)
-    return replace(entry, column=replace(entry.column, values=np.where(part > 0, time_s, entry.column.values)))
+    return _with(entry, np.where(part > 0, time_s, entry.column.values))
 
 
 _MAX_FRAMES = 500  # frames that errors of truth are drawn in: they change over minutes
@@ -250,8 +239,7 @@ class TakenOff:
             unit = "px" if found.errors.unit != "relative" else "of the side"
             columns = np.stack([found.before, found.noise_std, found.at_least, found.after])
             for k, component in enumerate(("x", "y", "width", "height")):
-                std = tuple(columns[:, k].tolist())
-                yield ComponentNoise(name, component, unit, std, not found.taken_off[k])
+                yield ComponentNoise(name, component, unit, tuple(columns[:, k].tolist()), not found.taken_off[k])
 
     def rows(self) -> list[tuple[str, ...]]:
         """A row of `HEADER` for each state and component."""
@@ -378,8 +366,7 @@ def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:
 
 
 def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
-    """Standard deviations of what changes of the errors to the next frame, shape (4,), NaN where few frames tell. Less
-    what changes of errors of truth with these variances (4,)."""
+    """Standard deviations of errors' changes to the next frame less those of truth, given variances (4,), or NaN."""
     pairs, place = learned.observed.pairs, np.flatnonzero(ours)
     steps = steps_between(learned.observed.labelled, pairs.rows[place])
     if len(steps) < _MIN_PAIRS:
@@ -387,8 +374,7 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     errors = pairs.errors(ours, relative)
     apart = np.abs(errors[steps.later] - errors[steps.earlier])
     change = (MAD_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
-    of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
-    return np.asarray(np.sqrt(np.maximum(change - of_truth, 0)))
+    return np.asarray(np.sqrt(np.maximum(change - noise * -np.expm1(-steps.apart_s / lasting_s).mean(), 0)))
 
 
 def _part_of_truth(states: Sequence[LessNoise | None], pairs: Pairs, rows: int) -> Array:

@@ -23,8 +23,8 @@ from modsim3d.world.vessel_motion import PosesInWaves
 
 STALE_S = 60.0  # a vessel under way that has not reported for so long before and after a frame is left out of it
 SLOW_KN, SLOW_STALE_S = 2.0, 180.0
-"""Below this speed transponders report every three minutes: of class B always, of class A when they are moored
-(ITU-R M.1371-5, Annex 1, Tables 1 and 2)."""
+"""Below this speed transponders report every three minutes: of class B always, of class A when moored (ITU-R M.1371-5,
+Annex 1, Tables 1 and 2)."""
 LYING_M_S = 0.25  # a slower vessel does not move between its reports, which come every three minutes
 MAX_KN = 60.0  # a vessel that would be faster has jumped, unless the scene was made with another limit
 BEYOND_S = 3.0  # a vessel is there so long before its first place and after its last: clocks and reports may be late
@@ -67,7 +67,7 @@ class Known:
 
 def stale_limit_s(scene: Scene, given: float | None) -> float:
     """Least time without a report of a vessel under way that is left out: the given one, else 60 s. Raises InputError
-    if the given one is not positive, or the scene was not made from AIS."""
+    if it is not positive, or the scene was not made from AIS."""
     if given is None:
         return STALE_S
     if not (np.isfinite(given) and given > 0):
@@ -79,8 +79,7 @@ def stale_limit_s(scene: Scene, given: float | None) -> float:
 
 
 class ReportAge:
-    """Age of the reports on a scene's vessels; `reports` are None where it was not made from AIS. A vessel under way
-    without a report for `stale_s` is left out; slow ones have three minutes."""
+    """Age of reports on vessels, None without AIS; left out after `stale_s` under way, three minutes if slow."""
 
     def __init__(self, scene: Scene, reports: Reports | None, stale_s: float = STALE_S) -> None:
         """Look at the poses of all steps."""
@@ -138,8 +137,7 @@ class ReportAge:
         jumps_s = self._reports.jumps_s.get(name, np.empty(0))
         jumps_between = np.searchsorted(jumps_s, next_s) > np.searchsorted(jumps_s, last_s)
         known.reason[Reason.JUMP][:, column] |= there & jumps_between
-        guessed = known.guessed.present[:, column]
-        known.since_s[:, column] = np.where(guessed, known.since_s[:, column], nearest_s)
+        known.since_s[:, column] = np.where(known.guessed.present[:, column], known.since_s[:, column], nearest_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +153,7 @@ class Exclusions:
 def exclusions(
     fresh: ReportAge, scene: Scene, camera: Camera, camera_poses: CameraPoses, times_s: Array, seen: Regions
 ) -> Exclusions:
-    """Rows and regions that are left out of the n frames of a camera, at ascending times (n,); `camera_poses` has its
-    pose in each, and `seen` the T rows of the truth."""
+    """Rows and regions left out of n frames at ascending times (n,), given the camera's poses and the truth's rows."""
     rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
     counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
     beyond = np.zeros(len(scene.vessels), dtype=np.int64)
@@ -207,8 +204,7 @@ def _told_beyond(beyond: Indices) -> Iterator[str]:
 def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
     """Regions where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
     poses, frames = known.guessed, np.arange(len(known.since_s))
-    calm = np.zeros((*poses.present.shape, 3))
-    places = PosesInWaves(poses, calm, world_R_vehicle(poses.headings_rad))
+    places = PosesInWaves(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
     sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")
     outlines = sight.outlines(as_shoeboxes=True)
     found = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
@@ -216,9 +212,8 @@ def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, kn
 
 
 def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
-    """Regions that are as much larger as the places may be off, across the line of sight or along it. A vessel at
-    distance r that is nearer by d has its waterline lower by the share d / (r − d) of the rows between that and the
-    horizon, and is larger by the same share. One that is farther moves by less."""
+    """Regions as much larger as places may be off, across the line of sight or along it. A vessel at distance r that is
+    nearer by d is larger, and its waterline lower, by d / (r − d); one that is farther moves by less."""
     off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
     depth_m = np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
     share = off_m / np.maximum(depth_m - off_m, off_m)  # at most 1, which is off by half the distance

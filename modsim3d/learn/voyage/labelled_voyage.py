@@ -48,29 +48,23 @@ class CameraTruth:
 
 
 def camera_truth(
-    scene: Scene,
-    number: int,
-    camera: Camera,
-    times_s: Array,
-    renderer: IdRenderer | None,
-    attitude: Attitude | None = None,
+    scene: Scene, index: int, eye: Camera, times_s: Array, renderer: IdRenderer | None, attitude: Attitude | None = None
 ) -> CameraTruth:
-    """The truth of one camera, which registration may have changed, at some times, as that of a run is made, hidden
-    vessels included. Times since the scene's first step, (n,) with n >= 1, ascend, and the vessel that carries the
-    camera is there. The renderer is that of `open_renderer`; the attitude of own ship as it was measured replaces the
-    scene's waves. Raises ModsimError if the camera has no place at a time."""
+    """The truth of one camera, which may be registered, at some times, as that of a run, hidden vessels included. Times
+    since the scene's first step, (n,) with n >= 1, ascend, and the camera's vessel is there. The renderer is that of
+    `open_renderer`; measured attitude replaces waves. Raises ModsimError if the camera has no place at a time."""
     sampler, parts, looks, length = Sampler(scene, attitude), [], [], block_steps(scene)
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
-        sight = scene.sight(camera, np.arange(len(frames)), sampler.at(times_s[frames]))
+        sight = scene.sight(eye, np.arange(len(frames)), sampler.at(times_s[frames]))
         outlines = sight.outlines(as_shoeboxes=scene.annotation.source == "rectangles")
-        occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
-        parts.append(occlusion.truth(outlines, frames, number))
+        occlusion = occlusion_by(outlines, eye.intrinsics, scene.annotation, renderer)
+        parts.append(occlusion.truth(outlines, frames, index))
         looks.append(sight.camera_poses)
     truth = concatenate(parts)
     truth = truth.with_annotated(annotated_rows(truth, scene.annotation))
     rotations, places = (np.concatenate([getattr(each, name) for each in looks]) for name in _POSES)
-    return CameraTruth(truth, camera.intrinsics.sea_half_plane(rotations), CameraPoses(rotations, places))
+    return CameraTruth(truth, eye.intrinsics.sea_half_plane(rotations), CameraPoses(rotations, places))
 
 
 _POSES = ("camera_R_world", "positions_m")
@@ -82,8 +76,7 @@ Registrar = Callable[[Scene, CameraLog], Correction]  # finds the correction of 
 
 @dataclass(frozen=True)
 class VoyageOptions:
-    """Options of the truth of a voyage. The registration is what is added to the camera and to the clock, what finds it
-    for each camera, or how each camera is registered."""
+    """Options of a voyage's truth. Registration is what is added to camera and clock, or finds it; or each camera's."""
 
     registration: Correction | Registrar | Registering = NO_CORRECTION
     stale_s: float = STALE_S  # least time without a report of a vessel under way that is left out
@@ -129,9 +122,9 @@ def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
 
 
 def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> LabelledVoyage:
-    """The frames of a log with the truth of its scene, which is rendered as that of a run is. Vessels whose AIS is
-    stale, jumps or is off are ignored: detecting them counts neither for nor against a detector. Raises ModsimError if
-    no frame is within the scene, boxes fit its vessels in another reading, or the truth cannot be made."""
+    """Frames of a log with the scene's truth, rendered as that of a run. Vessels whose AIS is stale, jumps or is off
+    count neither for nor against a detector. Raises ModsimError if no frame is within the scene, boxes fit its vessels
+    in another reading, or the truth cannot be made."""
     known = _known(options)
     log = replace(log, scene=known.scene_of(log.scene))
     reports = read_reports(log.scene.path)
@@ -161,8 +154,6 @@ def _known(options: VoyageOptions) -> KnownMeans:
 
 
 class _CameraSet:
-    """The labelled set of one camera."""
-
     def __init__(
         self, log: SceneLog, of_camera: CameraLog, fresh: ReportAge, options: VoyageOptions, renderer: IdRenderer | None
     ) -> None:
@@ -279,7 +270,6 @@ def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
 
 
 def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None) -> Iterator[str]:
-    """Sentences on frames that have no truth."""
     if outside := int((~inside).sum()):
         yield f"camera '{camera}': {outside:,} of {len(inside):,} frames are before or after the scene and left out"
     if absent := int((inside & ~carried).sum()):
@@ -296,9 +286,8 @@ _HEAD = (
 
 
 def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) -> dict[Path, bytes | str]:
-    """The files of a copy of a scene, to be in a folder, whose cameras have the registered values. The scene is
-    `scene.yaml`, so that the folder stands for it. What `modsim3d ais` wrote beside the scene is copied too, so that
-    the copy knows as much of its vessels. Raises ModsimError if a camera was registered in several logs."""
+    """The files of a copy of a scene, for a folder, whose cameras have the registered values: `scene.yaml`, so that the
+    folder stands for it, and what `modsim3d ais` wrote beside it. Raises ModsimError if a camera is there twice."""
     names = [each.registration.camera for each in registered]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ModsimError(f"--write-scene: camera '{twice[0]}' was registered in several logs: join them, or give one")
@@ -317,7 +306,6 @@ def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) ->
 
 
 def _files_beside(scene: Scene) -> dict[Path, bytes | str]:
-    """The files that the copy's scene file names."""
     with TemporaryDirectory() as temporary:
         written = Path(temporary)
         scene_file = scene.copy.write(written)
@@ -345,8 +333,7 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
 
 
 def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
-    """Registered values: the clock is added to the times of the log, the others are in the scene already. A camera that
-    was not registered keeps what is noted of it beside the scene."""
+    """Registered values: the clock to add to the log's times, else the noted one; the scene has the others already."""
     cameras = dict(noted_cameras(scene.path))
     for each in registered:
         cameras[each.registration.camera] = {

@@ -19,24 +19,17 @@ from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.report_page import Sources
 from modsim3d.learn.voyage import camera_registration
+from modsim3d.learn.voyage import labelled_voyage as truth
 from modsim3d.learn.voyage.attitude import read_attitude
 from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_fixed, parse_known
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.deconvolution import report_less_truth_noise
 from modsim3d.learn.voyage.exclusions import stale_limit_s
-from modsim3d.learn.voyage.labelled_voyage import (
-    CONDITION,
-    LabelledVoyage,
-    Registered,
-    Registrar,
-    VoyageOptions,
-    joined_voyages,
-    labelled_voyage,
-)
+from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registrar
 from modsim3d.learn.voyage.log_to_scene import Correction, on_scene
 from modsim3d.learn.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.learn.voyage.logs.reading import read_log
-from modsim3d.learn.voyage.non_ais.rates import TimeSpan, check_stretches, parse_stretches
+from modsim3d.learn.voyage.non_ais.classification import TimeSpan, check_stretches, parse_stretches
 from modsim3d.learn.voyage.reference_error import TruthNoise
 from modsim3d.learn.voyage.report import VoyageReport, learn_beside_unseen, voyage_sections
 from modsim3d.runs.files.overwrite import RUN_FILE, read_of_run
@@ -48,16 +41,12 @@ Method = Literal["confidence", "optimal", "centre"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VoyageResult(LearnResult):
-    """A detector that was learned from a voyage, from `learn_voyage`.
-
-    Attributes:
-        told: What is reported of the voyage.
-    """
+    """A detector that was learned from a voyage, from `learn_voyage`, and what is `told` of the voyage."""
 
     told: VoyageReport = field(kw_only=True)
 
     @property
-    def registered(self) -> tuple[Registered, ...]:
+    def registered(self) -> tuple[truth.Registered, ...]:
         """The registration of each camera."""
         return self.told.voyage.registered
 
@@ -133,15 +122,14 @@ class VoyageRequest:
         return [*self.scene.copy.read, *of_runs]
 
     def labelled(self) -> LabelledVoyage:
-        """The logs with the truth of the scene, once its cameras are registered. Raises ModsimError if a log is wrong
-        or given twice, or a camera cannot be registered."""
+        """Logs with the truth of the scene, cameras registered. Raises ModsimError if one is wrong, or given twice."""
         attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
         registration = self.registration
         if registration is None:
             least = MIN_CONFIDENCE if self.request.confidence is None else self.request.confidence
             known, fixed = parse_known(self.known), parse_fixed(self.fixed)
             registration = Registering(fixed, self.position_m, least, attitude, known)
-        names = self.request.conditions or (CONDITION,) * len(self.logs)
+        names = self.request.conditions or (truth.CONDITION,) * len(self.logs)
         cameras = self.cameras * (len(self.logs) // len(self.cameras))
         scene_logs, read = [], set()
         for path, camera in zip(self.logs, cameras, strict=True):
@@ -151,8 +139,8 @@ class VoyageRequest:
             scene_logs.append(on_scene(read_log(path, self.log_options), self.scene, camera))
         check_stretches(self.stretches, np.concatenate([log.time_s for log in scene_logs]))
         stale_s = stale_limit_s(self.scene, self.stale_s)
-        options_of = (VoyageOptions(registration, stale_s, attitude, name) for name in names)
-        return joined_voyages([labelled_voyage(*each) for each in zip(scene_logs, options_of, strict=True)])
+        options_of = (truth.VoyageOptions(registration, stale_s, attitude, name) for name in names)
+        return truth.joined_voyages([truth.labelled_voyage(*each) for each in zip(scene_logs, options_of, strict=True)])
 
     def learn(self, voyage: LabelledVoyage, read: Sequence[Path], call: str) -> VoyageResult:
         """Learn a detector from the logs with the truth of the scene. `read` are the files that were read for it, and

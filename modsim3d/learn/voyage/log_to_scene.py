@@ -27,8 +27,8 @@ FRAMES_IN_A_ROW = 20  # so many whole numbers in a row may be numbers of frames
 
 @dataclass(frozen=True, eq=False)
 class CameraLog:
-    """Log of one camera's detector: n frames and m detections. `time_s` counts from the scene's first step by the log's
-    own clock and what is noted of it beside the scene, `clock_s`, which was added to the log's own times."""
+    """Log of one camera's detector, n frames and m detections: `time_s` from the scene's first step by the log's clock
+    and `clock_s`, noted beside the scene, which was added."""
 
     camera: int  # its number in the scene
     time_s: Array  # ascending, (n,)
@@ -68,8 +68,7 @@ class SceneLog:
 
 
 def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> SceneLog:
-    """A log with the cameras, the clock and the labels of its scene. Only the frames of `camera`, if given, are taken,
-    else those of all cameras that the log names. Raises InputError if the log does not fit the scene."""
+    """A log with its scene's cameras, clock and labels, of one camera or all. Raises InputError if it does not fit."""
     if scene.live:
         raise InputError(scene.title, ["its poses arrive while it runs: a scene with all poses is needed"])
     log, numbers = _with_cameras(log, scene, camera)
@@ -103,7 +102,6 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
 
 
 def _said_of_times(log: DetectionLog) -> Iterator[str]:
-    """Remarks on oddities in the times of a log."""
     times_s = np.unique(log.time_s)
     if (
         log.clock is not Clock.UTC
@@ -180,8 +178,7 @@ def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> lis
 
 
 def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, Indices | None, list[str]]:
-    """The labels, that of each vessel (V,) and of each of the log's labels; None where all detections have the first.
-    The last of what it returns says what was taken for granted."""
+    """Labels, those of vessels (V,) and of the log's, None if all have the first; and what was taken for granted."""
     known = scene.detector.labels
     used = tuple(dict.fromkeys(vessel.label for vessel in scene.vessels))
     alike = np.zeros(len(scene.vessels), dtype=np.int64)
@@ -202,9 +199,6 @@ def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, 
         "have the same labels, or all vessels one, as modsim3d ais gives them; --labels names the classes of MOT"
     )
     raise InputError(log.source, [problem])
-
-
-# ---- What registration changes ----
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ _REPORTED_DEG, _FROM_COURSE_DEG, _UNKNOWN_DEG = 1.0, 6.0, 45.0
 _ROUNDED_M = float(np.sqrt(2 / 12))  # a length is the sum of two distances, each rounded to a metre
 _TYPICAL = 0.3  # spread of a dimension within a ship type, as a share: "100 to 180 m", "10 to 14 m" in their table
 _ANTENNA = 0.23
-"""Spread of the antenna's place where it is taken to be the middle of the hull, as a share: it may be anywhere on four
-fifths of it."""
+"""Spread of the antenna's place, taken to be amidships, as a share: it may be anywhere on four fifths of the hull."""
 _SAME_M = 1e-9
 
 
@@ -47,8 +46,7 @@ class TruthNoise:
     @classmethod
     def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> TruthNoise:
         """Noise of a scene's truth, given the standard deviation of each coordinate of a position and the correlation
-        time of its error. The report of a scene that `modsim3d ais` made says what was missing; of others only
-        positions are uncertain. Raises InputError if the report beside the scene cannot be read."""
+        time of its error; after `modsim3d ais`, also of what its report lacks. Raises InputError if that is wrong."""
         file = scene.path.parent / REPORT
         content = load_json(file, "report") if file.is_file() else {}
         entries = content.get("vessels", {}) if isinstance(content, dict) else {}
@@ -81,8 +79,7 @@ def _heading_rad(entry: Mapping[str, Any]) -> float:
 
 
 def _dimensions(vessel: Vessel, entry: Mapping[str, Any]) -> tuple[Array, list[str]]:
-    """Spread of length, beam, air draft and the antenna's place, (5,), and which of them were typical ones. What a user
-    has changed in the scene since is taken to be known."""
+    """Spread of length, beam, air draft and the antenna's place, (5,), and which are typical; a user's are known."""
     std, missing = np.zeros(5), []
     for place, name in enumerate(("length", "beam", "air_draft")):
         value = float(getattr(vessel, f"{name}_m"))
@@ -114,9 +111,8 @@ class View:
 
 
 def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> Array:
-    """Derivatives of boxes by the `PARAMETERS`, (n, 4, 8), for rows `frame` of a view and indices `vessel` of the
-    scene, (n,) each. Boxes are whole ones, as if the image had no edge, given as centre x, centre y, width and height
-    in pixels. Derivatives are nan for a vessel that is absent or partly behind the camera."""
+    """Derivatives of boxes, centre x and y, width and height in px, uncut, by the `PARAMETERS`, (n, 4, 8), for rows
+    `frame` of a view and the scene's vessels, (n,) each; nan for one that is absent or partly behind the camera."""
     placed = _Placed.of(scene, view, frame, vessel)
     result = np.full((len(frame), 4, len(PARAMETERS)), np.nan)
     for column, step in enumerate(_STEPS):

@@ -24,26 +24,15 @@ from modsim3d.learn.voyage import deconvolution as truth_noise
 from modsim3d.learn.voyage.coverage import Coverage, FrameStretch
 from modsim3d.learn.voyage.deconvolution import ComponentNoise, TakenOff
 from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registered
-from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, classify_unmatched
-from modsim3d.learn.voyage.non_ais.rates import RateSource, StateRates, TimeSpan
-from modsim3d.learn.voyage.non_ais.tracklets import MIN_RATIO, MIN_S, Behaviour
-from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, ConfoundedGroup
-from modsim3d.learn.voyage.registration.parameters import SHARED
+from modsim3d.learn.voyage.non_ais import classification
+from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, StateRates, TimeSpan
+from modsim3d.learn.voyage.non_ais.linking import MIN_RATIO, MIN_S, Behaviour
+from modsim3d.learn.voyage.registration.parameters import COMMON_DELAY, SHARED, ConfoundedGroup
 from modsim3d.learn.voyage.registration.registering import BY_RULE, RegisteredValue, Registration
 from modsim3d.scene.scene import Scene
 
 _RATES_TITLE = "False positives in an image, where not everything that floats has a transponder"
-_IN_IMAGES = (
-    "state",
-    "images",
-    "unmatched",
-    "like vessels",
-    "least",
-    "by lifetimes",
-    "most",
-    "in empty stretches",
-    "used",
-)
+_HEADS = ("state", "images", "unmatched", "like vessels", "least", "by lifetimes", "most", "in empty stretches", "used")
 
 
 def rows_of(rates: Sequence[StateRates], level: float) -> list[tuple[str, ...]]:
@@ -102,7 +91,7 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
             number = "1 thing that lasts counts" if count == 1 else f"{count:,} things that last count"
             but = ", but not in the least rate" if behaviour in (Behaviour.JUMPS, Behaviour.CHANGES_SIZE) else ""
             yield f"{number} as false{but}: {behaviour.in_words}"
-    for source in RateSource:
+    for source in classification.RateSource:
         states = [each.state for each in rates if each.source is source]
         if states and (judged.kinds.found or judged.stretches):
             where = f" in {', '.join(states)}" if len(states) < len(rates) else ""
@@ -125,9 +114,6 @@ def _share(column: Column, level: float, units: int) -> str:
     return f"{float(column.estimate):.0%} ({float(low):.0%} to {float(high):.0%})"
 
 
-# ---- Learning from a voyage on ----
-
-
 def learn_beside_unseen(
     labelled: LabelledSet,
     settings: LearnSettings,
@@ -135,17 +121,16 @@ def learn_beside_unseen(
     stretches: tuple[TimeSpan, ...] = (),
     least_s: float = MIN_S,
 ) -> tuple[LearnReport, ClassifiedDetections]:
-    """Learn a detector from a set whose annotations are vessels with a transponder; detections that behave like a
-    vessel which is not annotated are neither hits nor false. In the stretches, on the clock of the images, nothing
-    floats but what is annotated; `least_s` is the least mean lifetime of what lasts as vessels do. The report has the
-    rates of false positives of the classified detections, and says which these are. Raises ModsimError as
+    """Learn a detector from a set whose annotations are vessels with a transponder; detections that behave like another
+    are neither hits nor false. In the stretches, on the images' clock, nothing else floats; `least_s` is the least mean
+    lifetime of what lasts as vessels do. The report has rates of false positives. Raises ModsimError as
     `learn_detector`; also if no frame lies in a stretch that is marked as empty."""
     conditions = labelled.conditions
     states = parse_states(options.states, conditions) if options.states else each_its_own(conditions)
     image_state = states.of_images(labelled.images, conditions)
     matched = match(labelled, settings.rule, settings.threshold)
     observed = Observed(labelled, matched, states.names, image_state, settings.threshold, settings.without)
-    judged = classify_unmatched(observed, stretches, least_s)
+    judged = classification.classify_unmatched(observed, stretches, least_s)
     report = learn_detector(judged.labelled, settings, options)
     learned = report.learned
     rates = judged.rates(learned.resampling, learned.observed.image_state, learned.observed.states)
@@ -210,8 +195,7 @@ def exchanges(registration: Registration) -> list[str]:
 
 def amount(name: str, value: float, unit: str, error: float | None = None) -> str:
     """A change with its sign and unit, to the digits that an error leaves; shares are in percent."""
-    percent = name.endswith("_share")
-    size, shown = (100.0, " %") if percent else (1.0, unit if unit in ("", "°") else f" {unit}")
+    size, shown = (100.0, " %") if name.endswith("_share") else (1.0, unit if unit in ("", "°") else f" {unit}")
     if error is None:
         return f"{size * value:+.3g}{shown}"
     digits = min(max(1 - math.floor(math.log10(max(size * error, 1e-6))), 0), 6)
@@ -374,7 +358,7 @@ def _registration(told: VoyageReport) -> Iterator[Block]:
 
 def _reference(told: VoyageReport) -> Iterator[Block]:
     yield Heading("What AIS does not see")
-    yield Table(_RATES_TITLE, _IN_IMAGES, rows_of(told.rates, told.level))
+    yield Table(_RATES_TITLE, _HEADS, rows_of(told.rates, told.level))
     if rows := told.taken_off.rows():
         yield Heading("How well the truth is known")
         yield Table(truth_noise.TITLE, truth_noise.HEADER, rows)

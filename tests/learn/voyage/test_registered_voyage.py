@@ -15,9 +15,8 @@ from modsim3d import InputError, VoyageResult, learn_voyage, load_scene
 from modsim3d.learn.voyage import labelled_voyage
 from modsim3d.learn.voyage.coverage import unmatched_stretches
 from modsim3d.learn.voyage.log_to_scene import Correction
-from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
-from modsim3d.learn.voyage.non_ais.rates import TimeSpan
-from modsim3d.learn.voyage.non_ais.tracklets import Behaviour
+from modsim3d.learn.voyage.non_ais.classification import TimeSpan, classify_unmatched
+from modsim3d.learn.voyage.non_ais.linking import Behaviour
 from modsim3d.learn.voyage.report import registration_lead, voyage_json
 from tests.cli.bad_input.builders import Call, answer, refusal
 from tests.learn.voyage.strait_logs import REALLY, strait_scene, written

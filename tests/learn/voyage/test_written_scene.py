@@ -21,7 +21,7 @@ from modsim3d.learn.voyage.labelled_voyage import Registered, VoyageOptions, lab
 from modsim3d.learn.voyage.log_to_scene import on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.reference_error import TruthNoise
-from modsim3d.learn.voyage.registration.identifiability import ConfoundedGroup
+from modsim3d.learn.voyage.registration.parameters import ConfoundedGroup
 from modsim3d.learn.voyage.report import delay_of, exchanges, registration_table
 from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.scene_folder import write_scene

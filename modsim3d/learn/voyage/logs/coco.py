@@ -1,7 +1,6 @@
-"""COCO: results with the file of their images, or one file whose annotations have scores.
-The time of an image is its `time_s`, `utc` or `date_captured`. Many tools leave the last empty, or write the same into
-all images: then, with a frame rate, the time is that of its `frame_id`, or else of its place in the file. The camera of
-an image is `camera`, or `sequence` (or `video_id`) where that is a text or there are several."""
+"""COCO: results with the file of their images, or one file whose annotations have scores. The time of an image is its
+`time_s`, `utc` or `date_captured`; with a frame rate, if that is empty or the same in all, as from many tools, that of
+its `frame_id` or place. Its camera is `camera`, or `sequence` (or `video_id`) where that is a text or differs."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,8 +24,7 @@ SECTIONS = ("images", "annotations", "categories")
 
 def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) -> DetectionLog:
     """The log of a COCO file: its content is a list of results, or a mapping with images, annotations and categories.
-    `images` is the content of the file of the images; None where `content` has them. Raises InputError if the files are
-    wrong; each problem names the index of its entry."""
+    `images` is the content of the images' file, None if there. Raises InputError, which names entries by index."""
     source = f"detections {path}"
     problems = Problems(source, options.skip_bad)
     where = source if options.images is None else f"images {options.images}"
@@ -117,19 +115,16 @@ def _times(
 
 
 def _time(entry: Mapping[str, Any]) -> tuple[float, bool]:
-    """Time of an image, NaN if it has none, and whether it is UTC."""
     key = _time_key(entry)
     return time_of(entry[key]) if key else (math.nan, False)
 
 
 def _time_key(entry: Mapping[str, Any]) -> str:
-    """The key that has the time of an image, empty if none has."""
     given = (key for key in _TIMES if entry.get(key) is not None)
     return next((key for key in given if not (key == _CAPTURED and entry[key] in ("", 0, "0"))), "")
 
 
 def _wrong_time(entry: Mapping[str, Any]) -> str:
-    """Reason why an image has no time."""
     if key := _time_key(entry):
         return f"{key} must be seconds, or a time such as {TIME_FORM} (got {shown(entry[key])})"
     return f"a time is needed: {', '.join(_TIMES)}, or --frame-rate, for their frame_id or places (got {shown(entry)})"
@@ -211,8 +206,7 @@ def _detection(entry: Any, where: str, problems: Problems) -> tuple[str, list[fl
     if not isinstance(box, list) or len(box) != 4 or not all(map(is_number, box)):
         problems.add(f"{where}: box_px must be x_min, y_min, x_max, y_max in pixels (got {shown(entry)})")
         return None
-    sides = [box[0], box[1], box[2] - box[0], box[3] - box[1]]
-    return where, sides, _label(entry), entry.get("confidence")
+    return where, [box[0], box[1], box[2] - box[0], box[3] - box[1]], _label(entry), entry.get("confidence")
 
 
 def _thesis(entry: Any, where: str, problems: Problems) -> tuple[str, list[float], str | None, object] | None:

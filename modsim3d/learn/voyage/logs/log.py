@@ -168,9 +168,9 @@ class LogRows:
     def log(
         self, clock: Clock, frames_from: str, labels: Mapping[str, int] | None = None, notes: Sequence[str] = ()
     ) -> DetectionLog:
-        """The log. `frames_from` says how its frames are known; `labels` are the names of all classes with their
-        numbers in the order of the file, those that were met if None; `notes` say what the reader took for granted.
-        Raises InputError if entries are wrong, it has no frame, or only some detections have a class."""
+        """The log. `frames_from` says how its frames are known; `labels` name all classes in the order of the file,
+        those met if None; `notes` are assumptions. Raises InputError if entries are wrong, there is no frame, or only
+        some have a class."""
         notes = [*notes, *self.problems.settle(), *(self.confidences.notes if self.confidences else [])]
         if not self._frames:
             raise InputError(self.source, ["holds no frame: it needs the times of some, with or without detections"])

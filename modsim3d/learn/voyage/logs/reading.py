@@ -21,19 +21,9 @@ from modsim3d.io.ros_bag import DETECTIONS_2D, NANO, BagMessage, is_bag, read_ba
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.text_table import TextTable
 from modsim3d.io.validation import shown
+from modsim3d.learn.voyage.logs import log
 from modsim3d.learn.voyage.logs.coco import SECTIONS, read_coco_log, read_lines_log, read_thesis_log
-from modsim3d.learn.voyage.logs.log import (
-    MIN_UNIX_S,
-    MIXED,
-    NO_OPTIONS,
-    TIME_FORM,
-    Clock,
-    DetectionLog,
-    LogOptions,
-    LogRows,
-    seconds,
-    utc_s,
-)
+from modsim3d.learn.voyage.logs.log import Clock, DetectionLog, LogOptions, LogRows, seconds
 from modsim3d.runs.camera_sequences import camera_sequences
 from modsim3d.runs.files.overwrite import RUN_FILE, files_of_run
 from modsim3d.runs.stored_run import opened_run
@@ -43,8 +33,7 @@ from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, TOP_LEFT, BoxForm
 
 
 def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a file of frame, −1, x, y, width, height, confidence and perhaps a class. Raises InputError if the
-    file is wrong, or its frame rate is not known."""
+    """The log of a file of frame, −1, x, y, width, height, confidence, perhaps a class; InputError if it is wrong."""
     source = f"detections {path}"
     problems = Problems(source, options.skip_bad)
     info = sequence_info(path, (math.nan, math.nan), source)
@@ -81,8 +70,7 @@ def _label(number: int, labels: tuple[str, ...]) -> str:
 def read_run_log(folder: Path) -> DetectionLog:
     """The log of all cameras of a run; nothing of its truth is read. Raises ModsimError if it is no run."""
     run, source = opened_run(folder), f"detections {folder}"
-    problems = Problems(source)
-    rows = LogRows(source, problems, Confidences("confidence", 0, 1, True, ""))
+    rows = LogRows(source, Problems(source), Confidences("confidence", 0, 1, True, ""))
     for each in camera_sequences(run, tuple(range(len(run.scene.cameras)))):
         frames = [rows.frame(each.camera.name, time_s, each.size_px) for time_s in each.times_s.tolist()]
         found, labels = each.detections, run.scene.detector.labels
@@ -97,8 +85,8 @@ def read_run_log(folder: Path) -> DetectionLog:
 
 
 def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a bag: its folder, or a file of it. A camera is the first part of its topic's name: `/bow/detections`
-    is that of `bow`. Raises ModsimError if it cannot be read, has no such topic, or rosbags is missing."""
+    """The log of a bag, a folder or a file of it; topic `/bow/detections` is of camera `bow`. Raises ModsimError if it
+    cannot be read, has no such topic, or rosbags is missing."""
     source = f"detections {path}"
     messages = list(read_bag(path, "detections", partial(_chosen, source), _message))
     problems = Problems(source, options.skip_bad)
@@ -108,13 +96,13 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     given = any(score is not None for _, score in scores)
     confidences = Confidences.of(scores, options.confidence_scale, problems) if given else None
     rows = LogRows(source, problems, confidences, CENTRE)
-    clock = Clock.UTC if messages and messages[0][1] >= MIN_UNIX_S * NANO else Clock.STAMP
+    clock = Clock.UTC if messages and messages[0][1] >= log.MIN_UNIX_S * NANO else Clock.STAMP
     for topic, stamp, message in messages:
         where, camera = f"{topic} at {stamp / NANO:.12g} s", _camera(topic)
         if topics[camera] != topic:
             which = f"{topic} and {topics[camera]} are both of camera {shown(camera)}"
             raise InputError(source, [f"{which}: give a bag with one topic of a camera"])
-        if (stamp >= MIN_UNIX_S * NANO) != (clock is Clock.UTC):
+        if (stamp >= log.MIN_UNIX_S * NANO) != (clock is Clock.UTC):
             raise InputError(source, [f"{where}: some stamps are Unix time and others are not"])
         if rows.has(camera, stamp / NANO):
             problems.add(f"{where}: another message has the same stamp")
@@ -144,7 +132,6 @@ Found = tuple[list[float], str | None, float | None, float]
 
 
 def _chosen(source: str, topics: Mapping[str, str]) -> list[str]:
-    """The topics of detections."""
     wanted = [topic for topic, kind in topics.items() if kind == DETECTIONS_2D]
     if not wanted:
         got = ", ".join(f"{topic} ({kind})" for topic, kind in topics.items()) or "no topic"
@@ -173,9 +160,8 @@ def _found(detection: Any) -> Found:
 _KNOWN = "a run folder, a ROS 2 bag, COCO .json, MOT .txt, .csv, .parquet, or .jsonl"
 
 
-def read_log(path: Path, options: LogOptions = NO_OPTIONS) -> DetectionLog:
-    """Read a log of detections, whose kind its name and its beginning tell. Raises InputError if it cannot be read, is
-    of no known kind, or is wrong."""
+def read_log(path: Path, options: LogOptions = log.NO_OPTIONS) -> DetectionLog:
+    """Read a log of detections, of a kind by name and beginning. Raises InputError if it is of none, or is wrong."""
     log = _reader(path, options)
     if options.images is not None and ".json" not in path.suffixes:
         raise InputError("--images", [f"is for COCO results, and {path} says itself when its images were taken"])
@@ -251,8 +237,8 @@ class Filled:
 
 
 def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
-    """The frames without detections between those with, whose times (n,) ascend; the frame rate is that of the usual
-    gap between two frames if None. Raises InputError if the times fit no frame rate, or give too many frames."""
+    """Frames without detections between those with, of times (n,), at a rate, by default that of the usual gap. Raises
+    InputError if no rate fits, or frames are too many."""
     gaps = np.diff(time_s)
     if not len(gaps):
         return Filled(np.empty(0), rate_hz or 1.0, 0.0)
@@ -290,9 +276,8 @@ _NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; 
 
 
 def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a table with a line of names. The frames are those of a file beside it, `frames…` beside
-    `detections…`, as runs and exports have; or those of its rows, where some have empty boxes; or those that the frame
-    rate adds between the rows' times. Raises InputError if the file is wrong; each problem names its line."""
+    """The log of a table with a line of names. Frames are of a file beside it, `frames…` beside `detections…`, as runs
+    and exports have; or its rows, if some have empty boxes; or what the rate adds. InputError names wrong lines."""
     source = f"detections {path}"
     table = TextTable.read(path, "detections")
     time_s, clock = times_of(table, source)
@@ -315,8 +300,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
         frame = rows.frame(cameras[row], float(time_s[row]))
         if not is_empty:
             left, top, right, bottom = corners
-            sides = [left, top, right - left, bottom - top]
-            rows.add(frame, where[row], sides, labels[row], values[row])
+            rows.add(frame, where[row], [left, top, right - left, bottom - top], labels[row], values[row])
     return rows.log(clock, _add_frames(path, rows, cameras, time_s, clock, bool(empty.any()), options))
 
 
@@ -332,7 +316,6 @@ def _first(table: TextTable, names: Sequence[str]) -> str:
 
 
 def _texts(table: TextTable, name: str) -> list[str | None]:
-    """A column of texts, None where it is empty or not there."""
     if not table.has(name):
         return [None] * len(table)
     return [text or None for text in table.columns[name].to_pylist()]
@@ -347,28 +330,27 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
     texts = table.columns[name].to_pylist()
     times = np.array([seconds(text) for text in texts])
     of_utc = np.isnan(times)
-    times = np.where(of_utc, [utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
+    times = np.where(of_utc, [log.utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
     table.problems.refuse(
         np.isnan(times),
         lambda row: (
-            f"{name} must be seconds, or a time such as {TIME_FORM} (got {shown(texts[row])}"
+            f"{name} must be seconds, or a time such as {log.TIME_FORM} (got {shown(texts[row])}"
             f"{', which may be milliseconds' if texts[row].strip().isdigit() else ''})"
         ),
     )
     table.problems.settle()
-    of_utc |= times >= MIN_UNIX_S
+    of_utc |= times >= log.MIN_UNIX_S
     table.problems.refuse(
         ~of_utc & (name == "utc"),
         lambda row: (
-            f"utc must be a time such as {TIME_FORM}, or Unix time (got {shown(texts[row])}): seconds since the "
+            f"utc must be a time such as {log.TIME_FORM}, or Unix time (got {shown(texts[row])}): seconds since the "
             "scene's first step are time_s"
         ),
     )
     table.problems.settle()
-    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: {MIXED}")
+    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: {log.MIXED}")
     table.problems.settle()
-    seconds_from = Clock.STAMP if name == "timestamp" else Clock.STEP
-    return times, Clock.UTC if of_utc.any() else seconds_from
+    return times, Clock.UTC if of_utc.any() else Clock.STAMP if name == "timestamp" else Clock.STEP
 
 
 def _form(table: TextTable, source: str) -> BoxForm:
@@ -384,13 +366,7 @@ def _got(table: TextTable) -> str:
 
 
 def _add_frames(
-    path: Path,
-    rows: LogRows,
-    cameras: Sequence[str | None],
-    time_s: Array,
-    clock: Clock,
-    said: bool,
-    options: LogOptions,
+    path: Path, rows: LogRows, names: Sequence[str | None], time_s: Array, clock: Clock, said: bool, options: LogOptions
 ) -> str:
     """Add the frames without detections to the rows, and say how they are known."""
     beside = path.with_name(path.name.replace("detections", "frames", 1))
@@ -408,9 +384,9 @@ def _add_frames(
         return f"the rows of {beside.name}"
     if said and options.frame_rate_hz is None:
         return "its rows, some of which have empty boxes"
-    of_camera = np.array([camera or "" for camera in cameras], dtype=object)
+    of_camera = np.array([camera or "" for camera in names], dtype=object)
     said_of = []
-    for camera in dict.fromkeys(cameras):
+    for camera in dict.fromkeys(names):
         seen = np.unique(time_s[of_camera == (camera or "")])
         more = filled(seen, options.frame_rate_hz, rows.source)
         for time in more.time_s.tolist():

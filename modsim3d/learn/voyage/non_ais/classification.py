@@ -2,30 +2,190 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou
+from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, Rule, image_pairs, match
-from modsim3d.learn.bootstrap import Column, Entry, Resampling, resample, run_length_s, with_entries
+from modsim3d.io.validation import shown
+from modsim3d.learn.bootstrap import Column, Entry, Resampling, ratio, resample, run_length_s, with_entries
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.voyage.non_ais.linking import AT_BORDER_PX, Links, link
-from modsim3d.learn.voyage.non_ais.rates import (
-    RateSource,
-    StateRates,
-    TimeSpan,
-    Weighing,
-    check_stretches,
-    in_stretches,
-    rates_of,
+from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, utc_s
+from modsim3d.learn.voyage.non_ais import linking
+from modsim3d.learn.voyage.non_ais.linking import Links
+from modsim3d.scene.ais.options import time_text
+
+
+class RateSource(Enum):
+    """Rate of false positives that goes into the detector file."""
+
+    EMPTY = "the stretches marked as empty"
+    MIXTURE = "the mixture of lifetimes"
+    ALL = "all unmatched detections that are not left out"
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """Unmatched detections, and what speaks for each being of a vessel without a transponder."""
+
+    image: Indices  # of each of n detections, (n,)
+    duration: Indices  # which of D durations its thing has, (n,)
+    tells: Mask  # which tell something; the others lie where vessels pass each other or come into view, (n,)
+    lasting: Array  # probability that things of a duration last as vessels do, in each replicate, (rows, D)
+    likely: Mask  # which of these are taken for vessels, (D,)
+    perhaps: Mask  # which may be vessels, (D,)
+    empty: Mask  # which images lie in stretches marked as empty, (I,)
+
+
+@dataclass(frozen=True, eq=False)
+class StateRates:
+    """False positives in an image of one state."""
+
+    state: str
+    images: int
+    unmatched: int  # detections that match nothing, but for second boxes and parts of known vessels
+    upper: Column  # if all of them are false, those that tell nothing, too
+    lower: Column  # if all that may be a vessel's are of vessels
+    mixture: Column | None  # by the mixture; None if nothing lasts as vessels do
+    empty: Column | None  # in the stretches marked as empty; None if none of its images lies in one
+    vessel_share: Column  # of the unmatched detections that tell something those of vessels, by the mixture
+    kept: Column  # the rate of those that are learned from
+    units: int  # number of runs or images that were resampled
+
+    @property
+    def source(self) -> RateSource:
+        """Rate that is used."""
+        if self.empty is not None:
+            return RateSource.EMPTY
+        return RateSource.ALL if self.mixture is None else RateSource.MIXTURE
+
+    @property
+    def used(self) -> Column:
+        """The rate that is used."""
+        return self.empty or self.mixture or self.kept
+
+    @property
+    def factor(self) -> Array:
+        """The rate that is used over that of the detections that are learned from, shape (rows,)."""
+        factor = ratio(self.used.values, self.kept.values)
+        return np.where(np.isfinite(factor), factor, 1.0)
+
+
+def rates_of(
+    weighing: Weighing, resampling: Resampling, state_of: Indices, states: Sequence[str], found: bool, inflation: float
+) -> tuple[StateRates, ...]:
+    """Rates by state, given that of each image, −1 for none, (I,), and whether things were `found` to last."""
+    weights = resampling.weights
+    rates = []
+    for index, name in enumerate(states):
+        ours = state_of == index
+        every = ours[weighing.image]
+        chosen = every & weighing.tells
+        whole, marked = weights[:, ours].sum(axis=1), weights[:, ours & weighing.empty].sum(axis=1)
+        image, duration = weighing.image[chosen], weighing.duration[chosen]
+        found_in = resampling.counts(image, 2 * duration + weighing.empty[image], (weighing.lasting.shape[1], 2))
+        seen, in_empty = found_in.sum(axis=2), found_in[:, :, 1]
+
+        def rate(amount: Array, images: Array = whole) -> Column:
+            return Column(np.nan_to_num(ratio(amount, images)), "rate", np.array(images[0]), inflation)
+
+        most = resampling.counts(weighing.image[every], np.zeros(int(every.sum()), dtype=np.int64), ())
+        telling, lasting = seen.sum(axis=1), (seen * weighing.lasting).sum(axis=1)
+        kept = np.where(weighing.likely, in_empty, seen)
+        share = np.nan_to_num(ratio(lasting, telling))
+        rates.append(
+            StateRates(
+                state=name,
+                images=int(ours.sum()),
+                unmatched=int(every.sum()),
+                upper=rate(most),
+                lower=rate(seen[:, ~weighing.perhaps].sum(axis=1)),
+                mixture=rate(telling - lasting) if found else None,
+                empty=rate(in_empty.sum(axis=1), marked) if marked[0] > 0 else None,
+                vessel_share=Column(share, "fraction", np.array(telling[0])),
+                kept=rate(kept.sum(axis=1)),
+                units=resampling.units(ours),
+            )
+        )
+    return tuple(rates)
+
+
+# ---- Stretches of time in which a user knows that the sea is empty ----
+
+_SECONDS = re.compile(r"([0-9]+(?:\.[0-9]*)?)-([0-9]+(?:\.[0-9]*)?)")
+_FORM = (
+    "must be FROM-TO in seconds since the scene's first step, such as 120-300, or two UTC times, such as "
+    "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
 )
-from modsim3d.learn.voyage.non_ais.tracklets import MIN_S, DurationTypes, Things, kinds_of, things_of
+
+
+@dataclass(frozen=True)
+class TimeSpan:
+    """From one time to another, both in seconds since the scene's first step."""
+
+    first_s: float
+    last_s: float
+    start_s: float | None = field(default=None, compare=False)  # Unix time of that step if given in UTC, to show it so
+
+    def __str__(self) -> str:
+        """As it is given."""
+        if self.start_s is None:
+            return f"{self.first_s:g}-{self.last_s:g}"
+        return f"{self.when(self.first_s)}/{self.when(self.last_s)}"
+
+    def when(self, time_s: float) -> str:
+        """A time since the scene's first step, in words."""
+        return f"{time_s:g} s" if self.start_s is None else time_text(self.start_s + time_s)
+
+
+def parse_stretches(text: str, start_s: float | None) -> tuple[TimeSpan, ...]:
+    """Stretches from a text such as `120-300,900-1000`, or UTC times with a slash, where the scene's Unix `start_s` is
+    not None. Raises InputError if a part has another form, ends before it begins, or is in UTC without a start."""
+    found = [_stretch(part.strip(), start_s) for part in text.split(",")]
+    if problems := [each for each in found if isinstance(each, str)]:
+        raise InputError("--empty", problems)
+    return tuple(each for each in found if isinstance(each, TimeSpan))
+
+
+def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
+    """Mask of the times (n,) that lie in a stretch, its ends included, shape (n,)."""
+    inside: Mask = np.zeros(len(time_s), dtype=bool)
+    for each in stretches:
+        inside |= (time_s >= each.first_s - 1e-9) & (time_s <= each.last_s + 1e-9)
+    return inside
+
+
+def check_stretches(stretches: tuple[TimeSpan, ...], time_s: Array, counts: Mask | None = None) -> None:
+    """Raise InputError for a stretch without any of the counted frames, all if None, at one or more times, (n,)."""
+    for stretch in stretches:
+        inside = in_stretches((stretch,), time_s)
+        if not (inside if counts is None else inside & counts).any():
+            low, high = (stretch.when(float(end)) for end in (np.nanmin(time_s), np.nanmax(time_s)))
+            raise InputError("--empty", [f"{stretch}: no frame lies in it; they are from {low} to {high}"])
+
+
+def _stretch(part: str, start_s: float | None) -> TimeSpan | str:
+    seconds = _SECONDS.fullmatch(part)
+    ends = [float(each) for each in seconds.groups()] if seconds else [utc_s(each) for each in part.split("/")]
+    if len(ends) != 2 or any(math.isnan(each) for each in ends):
+        return f"{_FORM} (got {shown(part)})"
+    utc = not seconds or min(ends) >= MIN_UNIX_S
+    if utc and start_s is None:
+        return f"{part}: is in UTC, and the scene does not say when it starts: give seconds since its first step"
+    zero = start_s if utc and start_s is not None else 0.0
+    first_s, last_s = (each - zero for each in ends)
+    return TimeSpan(first_s, last_s, zero if utc else None) if first_s < last_s else f"{part}: must end after it begins"
+
 
 # ---- Where a vessel without a transponder passes a known one ----
 
@@ -87,8 +247,8 @@ def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, match
 
 
 def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tuple[Indices, Indices]:
-    """Annotations and places of a track that touch in an image, or of which a detection may match the other, (n,). What
-    stays with one known vessel for most of its life does not pass it: its truth may be off."""
+    """Annotations and places of a track that touch, or whose detection may match the other, (n,), not for most of the
+    life of the latter: then the truth may be off."""
     known, none = labelled.annotations, np.empty(0, dtype=np.int64)
     reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
     met: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
@@ -107,14 +267,12 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
     most = _PASSES * np.bincount(tracks.thing, minlength=1)[couples[:, 0]]
     passes = np.zeros(len(rows), dtype=bool)
     for chosen in (touch, np.ones(len(rows), dtype=bool)):
-        together = np.bincount(couple[chosen], minlength=len(couples))
-        passes |= chosen & (together <= most)[couple]
+        passes |= chosen & (np.bincount(couple[chosen], minlength=len(couples)) <= most)[couple]
     return rows[passes], places[passes]
 
 
 def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
-    """Linked detections of known vessels that come into view or leave it, as places among the links. Where positions
-    are not surely known, such a vessel may be in view a few frames earlier or later than the truth has it."""
+    """Linked detections, as places, of known vessels that come or leave, some frames off where positions are unsure."""
     known, images = labelled.annotations, labelled.images
     of_known = _border(known.boxes_px, images.sizes_px[known.image])
     rows = np.flatnonzero(of_known.any(axis=1))
@@ -137,9 +295,8 @@ def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
 
 
 def _below_horizon(labelled: LabelledSet, image: Indices, boxes_px: Array) -> Array:
-    """Distances of the upper and the lower edge of boxes (n, 4) below the horizon of their images, (n, 2). On board,
-    pitch moves the picture from frame to frame by more than the height of a far vessel. Where the horizon is unknown,
-    edges are rows of the image."""
+    """Distances of upper and lower edges of boxes (n, 4) below the horizon, (n, 2), which pitch on board moves by more
+    than a far vessel's height; rows of the image where it is unknown."""
     a, b, c = labelled.images.half_planes[image].T
     with np.errstate(divide="ignore", invalid="ignore"):
         horizon = -(a * (boxes_px[:, 0] + boxes_px[:, 2]) / 2 + c) / b
@@ -149,8 +306,8 @@ def _below_horizon(labelled: LabelledSet, image: Indices, boxes_px: Array) -> Ar
 def _border(boxes_px: Array, sizes_px: Array) -> Mask:
     """Whether boxes (n, 4) in images of a size (n, 2) lie at the left and at the right border, shape (n, 2)."""
     with np.errstate(invalid="ignore"):
-        far = boxes_px[:, 2] >= sizes_px[:, 0] - AT_BORDER_PX
-    return np.column_stack([boxes_px[:, 0] <= AT_BORDER_PX, far])
+        far = boxes_px[:, 2] >= sizes_px[:, 0] - linking.AT_BORDER_PX
+    return np.column_stack([boxes_px[:, 0] <= linking.AT_BORDER_PX, far])
 
 
 def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matched, threshold: float) -> Indices:
@@ -176,8 +333,8 @@ class ClassifiedDetections:
 
     observed: Observed  # the set with its matches, before anything is left out
     links: Links  # the unmatched detections, linked
-    things: Things  # what they are of
-    kinds: DurationTypes  # the mixture of lifetimes, in one row
+    things: linking.Things  # what they are of
+    kinds: linking.DurationTypes  # the mixture of lifetimes, in one row
     stretches: tuple[TimeSpan, ...]  # those marked as empty
     empty: Mask  # which images lie in them, (I,)
     least_s: float  # least mean lifetime of what lasts as vessels do
@@ -238,7 +395,7 @@ class ClassifiedDetections:
     def rates(self, resampling: Resampling, image_state: Indices, states: Sequence[str]) -> tuple[StateRates, ...]:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.things.first_image]
-        kinds = kinds_of(self.things, weights, self.links.gap_s, self.least_s)
+        kinds = linking.kinds_of(self.things, weights, self.links.gap_s, self.least_s)
         likely, perhaps = self.kinds.lasting[0] >= _LIKELY, self.kinds.at_least(_PERHAPS)
         duration = kinds.of_thing[self.links.link]
         weighing = Weighing(self.links.image, duration, self.tells, kinds.lasting, likely, perhaps, self.empty)
@@ -251,8 +408,7 @@ class ClassifiedDetections:
         return self.rates(resampling, self.observed.image_state, self.observed.states)
 
     def corrected(self, learned: Learned) -> Learned:
-        """Correct what was learned from `labelled` by the rate of false positives that is used. Detections are left out
-        or kept as a whole; the mixture knows that a few of either are of the other kind."""
+        """Correct what was learned from `labelled` by the rate of false positives that is used, as the mixture says."""
         states = learned.observed.states
         rates = self.rates(learned.resampling, learned.observed.image_state, states)
         free = dict(zip(states, _free_share(learned.observed), strict=True))
@@ -271,20 +427,19 @@ class ClassifiedDetections:
 
 
 def classify_unmatched(
-    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = MIN_S
+    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = linking.MIN_S
 ) -> ClassifiedDetections:
-    """Link the unmatched detections of a voyage, in images with a state, and judge them. In the stretches, on the clock
-    of the images, nothing floats but known vessels; `least_s` is the least mean lifetime of what lasts as vessels do.
-    Raises InputError if no image lies in a stretch that is marked as empty."""
+    """Link a voyage's unmatched detections, in images with a state, and judge them, given empty stretches on their
+    clock, and the least mean lifetime of vessels. Raises InputError if no image lies in a stretch."""
     # What lies beside the place of a known vessel may be another one: nothing is taken for its part.
     observed = replace(observed, without=observed.without | {"on_vessels"})
     images = observed.labelled.images
     counts = observed.image_state >= 0
     check_stretches(stretches, images.time_s, counts)
     empty = in_stretches(stretches, images.time_s) & counts
-    links = link(observed)
-    things = things_of(links, images)
-    kinds = kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)
+    links = linking.link(observed)
+    things = linking.things_of(links, images)
+    kinds = linking.kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)
     return ClassifiedDetections(observed, links, things, kinds, stretches, empty, least_s)
 
 
@@ -308,8 +463,7 @@ def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
     false = float(rate.used.estimate * rate.used.counts)
     if share[0] > 0:
         # As many observations as give the logarithm of the odds its variance, 1 / false + 1 / true.
-        variance = 1 / max(false, 0.5) + 1 / max(true, 0.5)
-        counts = 1 / variance / max(float(share[0] * (1 - share[0])), 1e-9)
+        counts = 1 / (1 / max(false, 0.5) + 1 / max(true, 0.5)) / max(float(share[0] * (1 - share[0])), 1e-9)
     else:  # none was false of the true ones in the images that tell the rate
         counts = true * float(rate.used.counts) / max(rate.images, 1)
     return replace(column, values=share, counts=np.array(counts), inflation=max(column.inflation, rate.used.inflation))

@@ -1,9 +1,10 @@
-"""False detections linked over time: which of them are the same thing, seen again.
-Things move at a constant velocity, along and below the horizon, so that roll and pitch do not break the links."""
+"""False detections linked over time: which are the same thing, seen again, at a constant velocity along and below the
+horizon, so that roll and pitch do not break the links."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -11,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.statistics import MAD_TO_STD
-from modsim3d.formats.labelled import Annotations
+from modsim3d.formats.labelled import Annotations, Images
 from modsim3d.formats.matching import image_pairs
 from modsim3d.learn.matches import FalseSightings, Observed
 from modsim3d.learn.persistence import frame_interval_s
@@ -71,7 +72,7 @@ def jitter_of(observed: Observed, longest_s: float) -> Jitter:
 # ---- Things followed from frame to frame ----
 
 MAX_HIDDEN_S = 30.0  # the longest that a thing may be hidden
-_MIN_SEEN = 5  # detections of a thing that may be missed for longer than usual
+_MIN_SEEN = 5  # detections of a thing that may be missed for longer than usual, and that show how it moves
 _NEAR, _MIN_NEAR_PX = 0.6, 5.0  # how far off a box may lie, in sides of it, and in pixels
 _SPEED_SIDES_S = 1.0  # how fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one
 _MAX_WAY_SIDES = 2.0
@@ -88,8 +89,6 @@ _AXES = np.array([0, 1, 0, 1])  # axis of the left, upper, right and lower side
 
 @dataclass(eq=False)
 class _Thing:
-    """A thing that is followed."""
-
     number: int
     seen: int  # how often
     first_s: float
@@ -113,8 +112,7 @@ class _Thing:
         apart, expected = now - self.last_s, self.expected(now)
         usable = (sure & self.known).reshape(2, 2)
         self.seen += 1
-        memory = np.clip(_MEMORY_S / apart, _MIN_MEMORY, _MEMORY)
-        self.told = np.minimum(self.told + usable.any(axis=0), memory)
+        self.told = np.minimum(self.told + usable.any(axis=0), np.clip(_MEMORY_S / apart, _MIN_MEMORY, _MEMORY))
         off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0] * usable.any(axis=0)
         # Gains of a straight line through the last detections, evenly spaced (Brookner (1998), section 1.2.10).
         sides = expected + (2 * (2 * self.told - 1) / (self.told * (self.told + 1)) * off)[_AXES]
@@ -127,12 +125,10 @@ class _Thing:
 
 
 def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter) -> Indices:
-    """Number the detections of one sequence by what they are of, from 0 up, (n,). Times (n,) ascend; sides are left,
-    upper, right and lower, (n, 4), and `sure` ones are those that nothing cuts off. A thing that is missed for longer
-    than `longest_s` may be another one."""
+    """Number one sequence's detections by what they are of, from 0, (n,). Times (n,) ascend; sides are left, upper,
+    right, lower, (n, 4), `sure` unless cut off. A thing missed for longer than `longest_s` may be another one."""
     numbers, things, count = np.full(len(time_s), -1), list[_Thing](), 0
-    edges = np.flatnonzero(np.diff(time_s)) + 1
-    for ours in np.split(np.arange(len(time_s)), edges) if len(time_s) else []:
+    for ours in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s)) + 1) if len(time_s) else []:
         now = float(time_s[ours[0]])
         things = [thing for thing in things if not thing.lost(now, longest_s)]
         free = np.arange(len(ours))
@@ -160,18 +156,15 @@ def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask, jit
     expected, known = np.stack([each.expected(now) for each in things]), np.stack([each.known for each in things])
     apart, told = np.array([(now - each.last_s, each.told.min()) for each in things]).T
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
-    whole = known[:, 0] & known[:, 2]
-    side = np.sqrt(np.where(whole, width, np.maximum(width, _ASPECT * height)) * height)
+    side = np.sqrt(np.where(known[:, 0] & known[:, 2], width, np.maximum(width, _ASPECT * height)) * height)
     way = np.minimum(apart * _SPEED_SIDES_S, _MAX_WAY_SIDES) / np.sqrt(told)
-    near = np.maximum(_GATE_STDS * jitter.off_px(side), _MIN_NEAR_PX)
-    reach = np.maximum(_NEAR * side, near) + side * way
+    reach = np.maximum(_NEAR * side, np.maximum(_GATE_STDS * jitter.off_px(side), _MIN_NEAR_PX)) + side * way
     off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
     fits = (off <= 1) & _alike(measured, sure, expected, known, jitter)
     if not fits.any():
         return []
     vague = 2 - (sure[:, None] & known[None]).reshape(*off.shape, 2, 2).any(axis=2).sum(axis=-1)
-    cost = np.where(fits, np.maximum(off, _VAGUE * vague), _NOTHING)
-    pairs = zip(*linear_sum_assignment(cost), strict=True)
+    pairs = zip(*linear_sum_assignment(np.where(fits, np.maximum(off, _VAGUE * vague), _NOTHING)), strict=True)
     return [(int(a), int(b)) for a, b in pairs if fits[a, b]]
 
 
@@ -184,15 +177,14 @@ def _beside_others(sides: Array) -> Mask:
 
 
 def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array:
-    """Distances of n detections from where k things are expected, along and below the horizon, (n, k, 2). By the sides
-    that are sure; if none is, by how far the two are apart, which is 0 where they overlap."""
+    """Distances of n detections from where k things are expected, along and below the horizon, (n, k, 2), by sure
+    sides; without any, of what is between, 0 if they overlap."""
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2)
     off = (measured[:, None] - expected[None]).reshape(usable.shape)
     number = usable.sum(axis=2)
     mean = np.where(usable, off, 0.0).sum(axis=2) / np.maximum(number, 1)
     before = np.maximum(expected[None, :, :2] - measured[:, None, 2:], 0)
-    after = np.maximum(measured[:, None, :2] - expected[None, :, 2:], 0)
-    return np.where(number > 0, mean, after - before)
+    return np.where(number > 0, mean, np.maximum(measured[:, None, :2] - expected[None, :, 2:], 0) - before)
 
 
 def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Jitter) -> Mask:
@@ -237,8 +229,7 @@ def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
         near = np.column_stack([beside_px, np.full(len(row), _NEAR_PX)])
         low, high = theirs[:, :2] - near, theirs[:, 2:] + near
         meets = ((ours[:, :2] <= high) & (ours[:, 2:] >= low)).all(axis=1)
-        inside = (ours >= np.tile(low, 2)) & (ours <= np.tile(high, 2))
-        np.logical_or.at(hidden, row, inside & meets[:, None])
+        np.logical_or.at(hidden, row, (ours >= np.tile(low, 2)) & (ours <= np.tile(high, 2)) & meets[:, None])
     return hidden
 
 
@@ -290,3 +281,220 @@ def link(observed: Observed) -> Links:
     bottom = np.where(sightings.known, sides.places_px[:, 3], np.nan)
     about = sightings.image, time_s, places, bottom, sightings.sizes_px, np.asarray(sides.sure.all(axis=1))
     return Links(observed.false_positives, numbers, *about, sides.at_border, gap_s, longest, jitter)
+
+
+# ---- How things last and move ----
+
+
+_MAX_OFF, _MAX_OFF_PX, _MAX_RESIZED = 0.35, 5.0, 0.4
+"""Median distance from the middle of the detections before and after, in sides and in pixels; spread of log sides."""
+_MIN_SHARE = 0.25  # share of the frames of its life in which a vessel is detected at least
+_ABOVE, _MIN_ABOVE_PX = 0.25, 3.0  # how far above the horizon a vessel's lower edge may be, in heights and in pixels
+_UNSTEADY_STDS = 1.5  # so many standard deviations of the jitter of known boxes are steady in any case
+
+
+class Behaviour(IntEnum):
+    """Reasons against a vessel: the first that is true."""
+
+    LIKE_A_VESSEL = 0
+    ABOVE_THE_HORIZON = 1
+    RARELY_SEEN = 2
+    JUMPS = 3
+    CHANGES_SIZE = 4
+
+    @property
+    def in_words(self) -> str:
+        """For a report."""
+        return {
+            Behaviour.LIKE_A_VESSEL: "nothing speaks against a vessel",
+            Behaviour.ABOVE_THE_HORIZON: "lower edge above the horizon",
+            Behaviour.RARELY_SEEN: f"detected in less than {_MIN_SHARE:.0%} of the frames",
+            Behaviour.JUMPS: "moves unsteadily",
+            Behaviour.CHANGES_SIZE: "changes its size",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Things:
+    """N linked things, as columns (N,)."""
+
+    detections: Indices  # how often each was detected, (N,)
+    first_image: Indices  # in which each was detected
+    frames: Indices  # from the first detection to the last, both included, by the usual gap
+    lasted_s: Array  # from the first detection to the last
+    cut: Mask  # whether the frames end before the thing surely did
+    behaviour: Indices  # of `Behaviour`
+
+    @property
+    def perhaps_vessel(self) -> Mask:
+        """Whether nothing but a short life speaks against a vessel, shape (N,)."""
+        return np.asarray(self.behaviour == Behaviour.LIKE_A_VESSEL)
+
+    @property
+    def unsteady(self) -> Mask:
+        """Whether places or sizes jump, as those of a small vessel with large box errors do too, shape (N,)."""
+        return np.isin(self.behaviour, (Behaviour.JUMPS, Behaviour.CHANGES_SIZE))
+
+
+def things_of(links: Links, images: Images) -> Things:
+    """Durations and movements of the linked things."""
+    count, order = links.count, np.lexsort((links.time_s, links.link))
+    link = links.link[order]
+    starts = np.searchsorted(link, np.arange(count))
+    stops = np.searchsorted(link, np.arange(count), side="right")
+    detections = stops - starts
+    time_s = links.time_s[order]
+    lasted = np.nan_to_num(time_s[stops - 1] - time_s[starts])
+    frames = 1 + np.rint(lasted / links.gap_s).astype(np.int64)
+    first_image = links.image[order][starts]
+    ends = _ends_s(images)[images.sequence[first_image]]
+    with np.errstate(invalid="ignore"):
+        cut = (ends - time_s[stops - 1] < links.longest_gap_s) | links.at_border[order][stops - 1]
+    behaviour = np.zeros(count, dtype=np.int64)
+    for thing in np.flatnonzero(detections >= _MIN_SEEN).tolist():
+        rows = order[starts[thing] : stops[thing]]
+        whole = rows[links.whole[rows]]
+        rows = whole if len(whole) >= _MIN_SEEN else rows[:0]
+        behaviour[thing] = _behaviour(links, rows, detections[thing] / frames[thing]) if len(rows) else 0
+    return Things(detections, first_image, frames, lasted, cut, behaviour)
+
+
+def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
+    """Behaviour of a thing that was detected in some rows, in order of time, (n,)."""
+    place, size, time_s = links.places_px[rows], links.sizes_px[rows], links.time_s[rows]
+    below = links.bottom_px[rows]
+    if np.isfinite(below).any() and np.nanmedian(below + np.maximum(_ABOVE * size[:, 1], _MIN_ABOVE_PX)) < 0:
+        return Behaviour.ABOVE_THE_HORIZON
+    if share < _MIN_SHARE:
+        return Behaviour.RARELY_SEEN
+    part = ((time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2]))[:, None]
+    off = np.linalg.norm(place[1:-1] - (place[:-2] + part * (place[2:] - place[:-2])), axis=1)
+    side = float(np.median(np.sqrt(size.prod(axis=1))))
+    if np.median(off) > max(_MAX_OFF * side, _MAX_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
+        return Behaviour.JUMPS
+    # A vessel that nears grows, but slowly.
+    shares, pixels = (MAD_TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
+    resized = (shares > np.sqrt(2) * _MAX_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
+    return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
+
+
+def _ends_s(images: Images) -> Array:
+    """The last time of each sequence, by its number, NaN without times."""
+    ends = np.full(int(images.sequence.max(initial=-1)) + 1, -np.inf)
+    timed = np.isfinite(images.time_s)
+    np.maximum.at(ends, images.sequence[timed], images.time_s[timed])
+    return np.where(np.isfinite(ends), ends, np.nan)
+
+
+# ---- Two kinds of durations ----
+
+MIN_S = 30.0  # what lasts as vessels do lasts so long on average at least
+MIN_RATIO = 3.0  # and so many times as long as flicker that stays, whose mean is at most the least over this
+_STEPS = 60
+_SURE = 6.0  # gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets
+_MIN_WEIGHT = 0.05  # in a replicate without any of the few things that last, they are still known to be there
+_SINGLE, _SHORT, _LONG = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class DurationTypes:
+    """Durations that are alike, and the mixture fitted to them in each replicate. Things of a `longer` one move like a
+    vessel, for longer than flicker on average; `unsteady` ones last, but jump: false, and perhaps vessels."""
+
+    of_thing: Indices  # which duration each of N things has, (N,)
+    lasting: Array  # probability that a thing of each duration is of the longer kind, (rows, durations)
+    short_s: Array  # mean lifetime of flicker that stays, (rows,)
+    long_s: Array  # mean lifetime of the longer kind, (rows,)
+    found: bool  # whether the data show a longer kind; else `lasting` is 0
+    longer: Mask  # (durations,)
+    unsteady: Mask  # (durations,)
+    inflation: float  # factor by which flicker that stays raises the variance of the number of its detections
+
+    def at_least(self, probability: float) -> Mask:
+        """Durations that may be of vessels with such a probability, (durations,): long ones, where the data show no
+        longer kind, and always those of things that last and jump."""
+        likely: Mask = self.lasting[0] >= probability
+        return (likely if self.found else self.longer) | self.unsteady
+
+
+def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = MIN_S) -> DurationTypes:
+    """Fit the mixture to durations of N things with weights (rows, N), one in the first row. What does not move like a
+    vessel is of no longer kind, however long it lasts. Given usual gaps between frames, and the least mean lifetime."""
+    perhaps = things.perhaps_vessel
+    keys = np.column_stack([things.frames, things.cut, perhaps, things.unsteady]).astype(np.int64)
+    values, of_thing = np.unique(keys.reshape(-1, 4), axis=0, return_inverse=True)
+    of_thing = of_thing.ravel()
+    counts: Array = np.zeros((len(weights), len(values)))
+    for row in range(len(weights)):
+        counts[row] = np.bincount(of_thing, perhaps * np.maximum(weights[row], _MIN_WEIGHT), minlength=len(values))
+    durations = _Durations(values[:, 0], values[:, 1], values[:, 2].astype(bool), counts, least_s / gap_s)
+    two, both = durations.fit(with_long=False, rows=1), durations.fit(with_long=True)
+    found = bool(len(values)) and bool(both.value[0] >= two.value[0] + _SURE)
+    fit = both if found else durations.fit(with_long=False)
+    lasting = fit.shares[_LONG] if found else np.zeros_like(counts)
+    long_s = fit.long * gap_s if found else np.full(len(weights), np.nan)
+    lasted_s = (durations.frames - 1) * gap_s
+    longer = durations.perhaps & (lasted_s > least_s / MIN_RATIO)
+    unsteady = values[:, 3].astype(bool) & (lasted_s >= least_s)
+    inflation = durations.inflation(fit)
+    return DurationTypes(of_thing, lasting, fit.short * gap_s, long_s, found, longer, unsteady, inflation)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Shares of the kinds in each duration, (3, rows, D); mean lifetimes in frames and log-likelihood, (rows,)."""
+
+    shares: Array
+    short: Array
+    long: Array
+    value: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Durations:
+    """D durations: frames, whether they are cut and may be a vessel's, shape (D,), and how often each is, (rows, D)."""
+
+    frames: Indices
+    cut: Indices
+    perhaps: Mask
+    counts: Array
+    least: float
+
+    def fit(self, with_long: bool, rows: int | None = None) -> _Fit:
+        """The likeliest mixture of each row, with or without the longer kind."""
+        counts = self.counts[:rows]
+        amount: Array = np.tile([[0.5], [0.4], [0.1 if with_long else 0.0]], (1, len(counts)))
+        middle = max(1 + self.least / (2 * MIN_RATIO), 1.1)
+        short, long = np.full(len(counts), middle), np.full(len(counts), 4 * self.least + 2)
+        shares, value = np.zeros((3, *counts.shape)), np.zeros(len(counts))
+        for _ in range(_STEPS):
+            single = np.broadcast_to(np.log(np.where(self.frames == 1, 1.0, 1e-300)), counts.shape)
+            lasting = np.where(self.perhaps & with_long, self._log_density(long), -np.inf)
+            density = np.stack([single, self._log_density(short), lasting])
+            joint = density + np.log(np.maximum(amount, 1e-300))[..., None]
+            top = joint.max(axis=0)
+            whole = np.exp(joint - top).sum(axis=0)
+            shares = np.exp(joint - top) / whole
+            value = (counts * (top + np.log(whole))).sum(axis=1)
+            weighted = counts * shares
+            amount = weighted.sum(axis=2) / np.maximum(counts.sum(axis=1), 1e-12)
+            short = np.clip(self._mean(weighted[_SHORT]), 1.05, max(self.least / MIN_RATIO, 1.1))
+            long = np.maximum(self._mean(weighted[_LONG]), np.maximum(self.least, MIN_RATIO * short))
+        return _Fit(shares, short, long, value)
+
+    def inflation(self, fit: _Fit) -> float:
+        """Inflation, see `DurationTypes`: 1 + share · 2 Σ q^k over k > 0, q the chance to be in the next frame."""
+        seen = self.counts[0] * self.frames
+        stays, flickers = (float((seen * fit.shares[kinds, 0]).sum()) for kinds in (_SHORT, slice(_SINGLE, _LONG)))
+        return 1 + 2 * max(float(fit.short[0]) - 1, 0.0) * stays / max(flickers, 1e-12)
+
+    def _log_density(self, mean: Array) -> Array:
+        """Log-probability of each duration with a mean number of frames (rows,), shape (rows, D)."""
+        end = 1 / np.maximum(mean, 1.0)[:, None]
+        return np.multiply(self.frames - 1, np.log(np.maximum(1 - end, 1e-12))) + (1 - self.cut) * np.log(end)
+
+    def _mean(self, weights: Array) -> Array:
+        """Mean number of frames: all frames after which each could have ended over all ends, (rows,)."""
+        ends = (weights * (1 - self.cut)).sum(axis=1)
+        trials = np.subtract(self.frames, self.cut, dtype=np.float64)
+        return np.asarray((weights * trials).sum(axis=1) / np.maximum(ends, 0.5))

@@ -9,7 +9,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.learn.voyage.registration import parameters
 from modsim3d.learn.voyage.registration.icp import SOFT, Aligner, Alignment, SightingResiduals, Unknowns, derivatives
-from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, Knowledge, Linear, clusters, wider
+from modsim3d.learn.voyage.registration.parameters import COMMON_DELAY, Knowledge, Linear, clusters, wider
 from modsim3d.learn.voyage.registration.parameters import NAMES as OF_A_VESSEL_NAMES
 
 # ---- Errors of positions that last ----
@@ -32,9 +32,8 @@ class Drift:
 
 
 def drift_axes(time_s: Array, vessel: Indices, constant: Array, noise_m: float) -> Array:
-    """Distances by which unit normals, its own for each vessel, put the vessel of each row off: along and across in
-    metres, late in s, (m, 3, q). `constant` are standard deviations of what is constant: along, across and delay, (3,);
-    `noise_m` is that of the drift along and across."""
+    """Distances by which unit normals, each vessel's own, put the vessel of rows off: along and across in metres, late
+    in s, (m, 3, q), given standard deviations of what is constant, (3,), and of the drift along and across."""
     parts = [(rows, _hats(time_s[rows])) for rows in clusters(vessel)]
     most = max((hats.shape[1] for _, hats in parts), default=0)
     drifting = np.zeros((len(time_s), 3, 2, most))
@@ -49,19 +48,12 @@ def _hats(time_s: Array) -> Array:
     """A Gauss-Markov process of unit spread at n times, from unit normals, shape (n, K)."""
     first, last = float(time_s.min()), float(time_s.max())
     knots = np.linspace(first, last, int(min((last - first) // KNOT_S + 1, MAX_KNOTS)) + 1)
-    covariance = np.exp(-np.abs(knots[:, None] - knots) / LASTS_S)
-    root = np.linalg.cholesky(covariance + TINY * np.eye(len(knots)))
+    root = np.linalg.cholesky(np.exp(-np.abs(knots[:, None] - knots) / LASTS_S) + TINY * np.eye(len(knots)))
     return np.stack([np.interp(time_s, knots, column) for column in root.T], axis=1)
 
 
 def fit_drift(
-    residuals: SightingResiduals,
-    px: Array,
-    first_px: Array,
-    slopes_px: Array,
-    own_px: Array,
-    axes: Array,
-    together: float,
+    found: SightingResiduals, px: Array, first_px: Array, slopes_px: Array, own_px: Array, axes: Array, together: float
 ) -> Drift:
     """Fit p values of the camera, and where the vessels are. `px` (m,) are residuals with all vessels where their
     reports put them, and `first_px` what is left of them by the last fit. `slopes_px` (m, p) are derivatives by the
@@ -69,9 +61,9 @@ def fit_drift(
     `drift_axes`. `together` rows count as one."""
     axes_px = (own_px[:, :, None] * axes).sum(axis=1)
     errors, change, normals = first_px, np.zeros(slopes_px.shape[1]), np.zeros(axes_px.shape)
-    groups, p = list(clusters(residuals.vessel)), slopes_px.shape[1]
+    groups, p = list(clusters(found.vessel)), slopes_px.shape[1]
     for _ in range(ROUNDS):
-        spreads = residuals.spreads_px(errors)
+        spreads = found.spreads_px(errors)
         weights = (1 + (errors / spreads / SOFT) ** 2) ** -0.25 / spreads
         shared = axes_px * weights[:, None] / np.sqrt(together)
         rows = np.column_stack([slopes_px, px]) * weights[:, None]
@@ -157,13 +149,12 @@ def _px_and_slopes(aligner: Aligner, aligned: Alignment) -> tuple[Array, Array]:
     names = (*parameters.SHARED_NAMES, *OF_A_VESSEL_NAMES)
     slopes = derivatives(aligner.model, aligned.residuals, aligned.values, names) * parameters.plausible(names)
     px = aligned.residuals.px(aligner.model, aligned.values)
-    known = np.isfinite(px)[:, None] & np.isfinite(slopes)
-    return np.nan_to_num(px, nan=0.0), np.where(known, slopes, 0.0)
+    return np.nan_to_num(px, nan=0.0), np.where(np.isfinite(px)[:, None] & np.isfinite(slopes), slopes, 0.0)
 
 
 def _with_mean_speeds(aligner: Aligner, aligned: Alignment, slopes: Array) -> Array:
-    """Slopes by the clock and by delays as if vessels kept their mean speed of a minute, (m, 14). The speed from one
-    report to the next has the errors of both; a fit would take their pattern for a mark by which to set the clock."""
+    """Slopes by the clock and by delays at vessels' mean speed of a minute, (m, 14): the speed between reports has
+    errors of both, a pattern that would seem to set the clock."""
     residuals = aligned.residuals
     clock, delay = PROBED.index("clock_s"), PROBED.index(COMMON_DELAY)
     along, across, delay_s = parameters.plausible(OF_A_VESSEL_NAMES)
@@ -184,8 +175,7 @@ def _with_effects(
     for _ in range(EFFECT_ROUNDS):
         linear, residuals = linearized(aligner, aligned), aligned.residuals
         together = _together(linear, free, residuals)
-        rows = Linear(linear.slopes, _without(linear, aligned))
-        effects = _effects(rows, free, residuals, together, offsets_m)
+        effects = _effects(Linear(linear.slopes, _without(linear, aligned)), free, residuals, together, offsets_m)
         if not effects.spreads.any():
             break
         unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
@@ -205,8 +195,7 @@ def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResidual
     """Number of rows that count as one, because box errors last: the ratio of variances with and without clusters."""
     part = Linear(columns(linear, free), linear.residuals)
     alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
-    ratio = part.known_by(blocks_of(residuals)).errors / np.maximum(alone, 1e-300)
-    return max(float(np.median(ratio**2)), 1.0)
+    return max(float(np.median((part.known_by(blocks_of(residuals)).errors / np.maximum(alone, 1e-300)) ** 2)), 1.0)
 
 
 def _without(linear: Linear, aligned: Alignment) -> Array:
@@ -231,8 +220,6 @@ def _known(
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """One fit with drifts."""
-
     aligned: Alignment  # the new values, with the matches of the old ones
     change: Array  # of the free shared values, in plausible distances, (p,)
     linear: Linear  # near the old values, a column for each of `PROBED`
@@ -244,8 +231,7 @@ class _Round:
 def _with_drift(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
 ) -> Estimated:
-    """Estimate a drift of positions besides, by linear fits: all but the wrong matches is nearly linear. Raises
-    ModsimError if positions drift so far that no match is left."""
+    """Estimate a drift of positions too, by nearly linear fits. Raises ModsimError if no match is left with it."""
     late = np.array([0.0, 0.0, 0.0 if offsets_m is None else DELAY_S])
     first_m = FIRST_M if offsets_m is None else offsets_m
     constant, together = np.array([first_m, first_m, 0.0]) + late, 1.0
@@ -270,24 +256,17 @@ def _with_drift(
 
 
 def _round(
-    aligner: Aligner,
-    aligned: Alignment,
-    free: tuple[str, ...],
-    constant: Array,
-    late: Array,
-    noise_m: float,
-    together: float,
+    aligner: Aligner, start: Alignment, free: tuple[str, ...], std: Array, late: Array, noise_m: float, together: float
 ) -> _Round:
-    """Fit the free shared values and where vessels are, near the values of an alignment. `constant` are standard
-    deviations of constant errors, along, across and delay, (3,), `late` those that are not estimated, and `noise_m`
-    that of the drift. `together` rows count as one."""
-    residuals = aligned.residuals
+    """Fit shared values and places of vessels near an alignment's. Standard deviations: `std` of what is constant,
+    along, across, delay (3,), `late` where not estimated, and `noise_m` of the drift. `together` rows count as one."""
+    residuals = start.residuals
     vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
-    px, slopes = _px_and_slopes(aligner, aligned)
-    slopes = _with_mean_speeds(aligner, aligned, slopes)
+    px, slopes = _px_and_slopes(aligner, start)
+    slopes = _with_mean_speeds(aligner, start, slopes)
     own_px = slopes[:, OWN] / parameters.plausible(OF_A_VESSEL_NAMES)
-    reported_px = px - (own_px * aligned.values.vessels[vessel]).sum(axis=1)
-    axes, drift_alone = (drift_axes(time_s, vessel, spreads, noise_m) for spreads in (constant, late))
+    reported_px = px - (own_px * start.values.vessels[vessel]).sum(axis=1)
+    axes, drift_alone = (drift_axes(time_s, vessel, spreads, noise_m) for spreads in (std, late))
     places = [PROBED.index(name) for name in free]
     drift = fit_drift(residuals, reported_px, px, slopes[:, places], own_px, axes, together)
     # All columns are scaled and weighted together, and taken apart again.
@@ -298,8 +277,8 @@ def _round(
     linear = Linear.of_soft_loss(scaled, drift.errors_px / drift.spreads_px, SOFT)
     cuts = np.cumsum([len(PROBED), axes_px.shape[1], drifts_px.shape[1]])
     by_value, by_axis, by_drift, off = np.split(linear.slopes, cuts, axis=1)
-    values = _changed(aligned.values, free, drift.change, vessel, drift.steady)
-    moved = Alignment(values, aligned.sightings, residuals, aligned.spreads_px)
+    values = _changed(start.values, free, drift.change, vessel, drift.steady)
+    moved = Alignment(values, start.sightings, residuals, start.spreads_px)
     reported = Linear(by_value, linear.residuals - off[:, 0])
     return _Round(moved, drift.change, Linear(by_value, linear.residuals), reported, by_axis, by_drift)
 

@@ -18,8 +18,7 @@ from modsim3d.learn.voyage.registration.parameters import MEAN_ERRORS, NAMES, PL
 
 @dataclass(frozen=True, eq=False)
 class BoxesAtTimes:
-    """n detected boxes in F frames of one camera, those without boxes included. Times by the detector's clock count as
-    the scene does: from its first step on."""
+    """n detected boxes in F frames of one camera, empty ones too. Times count from the scene's first step."""
 
     times_s: Array  # of each frame, ascending, (F,)
     frame: Indices  # of each box, (n,)
@@ -110,9 +109,8 @@ def inside(boxes_px: Array, size_px: Array) -> Mask:
 
 
 def match(found: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int], gates_px: Array) -> Sightings:
-    """Detections that are each other's nearest with a vessel of the same frame, and clearly so. The distance is that of
-    the centre's column and the lower edge in shares of the gate, and that of the widths. `gates_px` are the greatest
-    distances in columns and in rows of each predicted box, (m, 2)."""
+    """Detections and vessels of a frame that are each other's nearest, clearly, by centre's column and lower edge in
+    shares of the gate, and widths. `gates_px` are the greatest distances in columns and rows, (m, 2)."""
     box, row = same_frame(found.frame, predicted.frame)
     detected, expected = found.boxes_px[box], clip(predicted.boxes_px, size_px)[row]
     gates = gates_px[row]
@@ -178,8 +176,7 @@ class SightingResiduals:
         row, kind = np.nonzero(np.stack(kinds, axis=1))
         sides = np.maximum(sizes(sightings.expected_px[row]), 1.0)
         size = np.take_along_axis(sides, SIDE[kind][:, None], axis=1)[:, 0]
-        observed = (OF_EDGES[kind] * sightings.boxes_px[row]).sum(axis=1)
-        return cls(sightings, row, kind, observed, size)
+        return cls(sightings, row, kind, (OF_EDGES[kind] * sightings.boxes_px[row]).sum(axis=1), size)
 
     @property
     def vessel(self) -> Indices:
@@ -203,9 +200,8 @@ class SightingResiduals:
         return np.asarray(OF_MEAN_ERRORS[self.kind] * unit)
 
     def spreads_px(self, residuals_px: Array) -> Array:
-        """Spread of each row's residual in pixels, (m,): by kind, and by size where there are enough rows. The spread
-        is 1.48 times the median absolute residual, which no wrong match pulls. It is measured about zero in bins of
-        size, and interpolated in the logarithm of the size."""
+        """Spread of residuals in px, (m,): by kind, and size with enough rows, 1.48 times the median absolute residual,
+        which no wrong match pulls, about zero in bins of size, between which its logarithm interpolates."""
         spread = np.ones(len(self.row))
         for kind in range(len(KINDS)):
             rows = np.flatnonzero(self.kind == kind)
@@ -262,8 +258,7 @@ class Unknowns:
 
 
 def derivatives(model: BoxModel, residuals: SightingResiduals, values: Values, names: tuple[str, ...]) -> Array:
-    """Derivatives of residuals in pixels by named parameters, in pixels per unit, (m, len(names)). Of a vessel's
-    parameter it is the derivative of the vessel's own rows."""
+    """Derivatives of residuals in px by named parameters, per unit, (m, len(names)); a vessel's are of its own rows."""
     columns = np.empty((len(residuals.row), len(names)))
     here = residuals.px(model, values)
     for column, (name, scale) in enumerate(zip(names, plausible(names), strict=True)):

@@ -1,6 +1,6 @@
-"""Start of a fit: the guess of the search from which the detections are explained best.
-The clock has several local optima. On board, the waves' motion looks much the same a period later. So guesses are
-aligned one by one, with vessels off their reports where that is expected, and compared."""
+"""Start of a fit: the guess of the search from which the detections are explained best. The clock has several local
+optima: on board, the waves' motion looks much the same a period later. So guesses are aligned one by one, with vessels
+off their reports where that is expected, and compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -59,8 +59,7 @@ class _Seen:
 
 
 def search(model: BoxModel, found: BoxesAtTimes, clocks_s: Array, most_turn_rad: float, most: int = 6) -> Search:
-    """Vote over offsets of the clock, ascending, (c,), and turns to the side of at most so much, π for all directions
-    around. `most` is the number of guesses."""
+    """Vote over clock offsets, ascending, (c,), and turns of at most so much, π for all round, for `most` guesses."""
     some = found.some(SEARCHED_FRAMES)
     lens = model.traffic.camera.intrinsics
     seen, mirrored = _directions(lens, some), _directions(lens, _mirrored(lens, some))
@@ -92,8 +91,7 @@ def _directions(lens: Intrinsics, found: BoxesAtTimes) -> _Seen:
     azimuth = np.arctan2(rays[..., 0], rays[..., 2])
     down = np.arctan2(rays[:, 1, 1], np.hypot(rays[:, 1, 0], rays[:, 1, 2]))
     known = np.isfinite(azimuth).all(axis=1) & np.isfinite(down)
-    width = azimuth[:, 2] - azimuth[:, 0]
-    return _Seen(found.frame[known], azimuth[known, 1], down[known], width[known])
+    return _Seen(found.frame[known], azimuth[known, 1], down[known], (azimuth[:, 2] - azimuth[:, 0])[known])
 
 
 def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
@@ -117,8 +115,7 @@ def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
     width = (length * np.abs(bearing[:, 1]) + beam * np.abs(bearing[:, 0])) / away
     azimuth, down = np.arctan2(camera[:, 0], camera[:, 2]), np.arctan2(camera[:, 1], away)
     lens = traffic.camera.intrinsics
-    half = np.arctan(lens.image_size_px[0] / 2 / lens.focal_px[0]) + most_turn_rad
-    seen = np.abs(azimuth) < half + width
+    seen = np.abs(azimuth) < np.arctan(lens.image_size_px[0] / 2 / lens.focal_px[0]) + most_turn_rad + width
     return _Seen(frame[seen], azimuth[seen], down[seen], width[seen])
 
 
@@ -157,8 +154,7 @@ _OTHERWISE = (
 
 
 def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None:
-    """Check that scene and detections have a time in common, the searched offset allowed; raises ModsimError if not, or
-    if there are too few detections or vessels."""
+    """Raise ModsimError if scene and detections have no time in common, or there are too few detections or vessels."""
     if not len(found.frame):
         raise ModsimError("registration: there are no detections")
     if len(found.frame) < MIN_MATCHES:
@@ -214,7 +210,6 @@ def check_matches(model: BoxModel, aligned: Alignment, names: tuple[str, ...]) -
 
 
 def _check_bearings(model: BoxModel, boxes_px: Array, what: str) -> None:
-    """Refuse what is all in one direction."""
     lens = model.traffic.camera.intrinsics
     pixels = np.stack([(boxes_px[:, 0] + boxes_px[:, 2]) / 2, boxes_px[:, 3]], axis=-1)
     rays = lens.unproject(pixels, np.ones(len(pixels)))
@@ -235,9 +230,8 @@ STRETCHES = 12
 
 
 def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -> tuple[Values, list[Values]]:
-    """The best start, and others whose clocks explain the detections nearly as well. The aligner is of some of the
-    frames, `searched_s` the greatest offset of the clock that is looked for, and `spread_m` how far vessels are
-    expected to be from where the scene has them. Raises ModsimError if none explains more than chance."""
+    """The best start, and others whose clocks explain nearly as well, from an aligner of some frames, the greatest
+    offset of the clock, and by how far places may be off. Raises ModsimError if none explains more than chance."""
     model, found, free = aligner.model, aligner.found, aligner.free
     clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
     voted = search(model, found, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))
@@ -263,8 +257,7 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
 
 
 def rivals_of(most: Array, best: Values, others: Sequence[tuple[Array, Values]]) -> list[Values]:
-    """Starts of another clock that are not clearly worse than the best one. Each start has how well it explains the
-    detections in each of k stretches of time, (k,), and its values."""
+    """Starts of another clock that explain detections, by stretches of time (k,), not clearly worse than the best."""
     rivals = list[Values]()
     for less, other in others:
         worse = most - less
@@ -276,8 +269,7 @@ def rivals_of(most: Array, best: Values, others: Sequence[tuple[Array, Values]])
 
 
 def explained(aligner: Aligner, aligned: Alignment) -> Array:
-    """Explained detections in each of some stretches of time, (STRETCHES,). A bearing or a waterline counts 1 where it
-    is met, and less the further it is off."""
+    """Explained detections by stretch of time, (STRETCHES,): a bearing or a waterline counts 1, or less if off."""
     residuals = aligned.residuals
     px = np.nan_to_num(residuals.px(aligner.model, aligned.values), nan=1e3)
     close = np.where(residuals.kind <= 3, 1 / (1 + (px / usual_px(residuals.size_px)) ** 2), 0.0)

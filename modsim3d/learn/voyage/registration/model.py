@@ -26,9 +26,8 @@ MEAN_S = 30.0
 
 @dataclass(frozen=True, eq=False)
 class KnownTraffic:
-    """The poses of V vessels at S ascending times, to interpolate between. Vessels go on at their speed where they are
-    absent, and before the first step and after the last one. A fit of the clock moves the times of its matches: a match
-    near the end of a track must not tear away when that is passed."""
+    """Poses of V vessels at S ascending times, to interpolate between. Where absent, before and after they go on at
+    their speed: a fit of the clock moves times, and a match near a track's end must not tear away."""
 
     camera: Camera  # that looks at them
     times_s: Array  # of the steps since the scene's first, with one `BEYOND_S` before and one after them, (S,)
@@ -66,8 +65,7 @@ class KnownTraffic:
     def there(self, times_s: Array, vessel: Indices) -> Mask:
         """Whether vessels are there at times: at the steps before and after, shape (n,)."""
         before, share = self._between(times_s)
-        after = np.where(share > 0, before + 1, before)
-        return self.present[before, vessel] & self.present[after, vessel]
+        return self.present[before, vessel] & self.present[np.where(share > 0, before + 1, before), vessel]
 
     def at(self, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
         """Positions in WCF, shape (n, 3), and rotations VCF to WCF, (n, 3, 3), of vessels at times, both (n,)."""
@@ -121,8 +119,7 @@ class KnownTraffic:
 
 
 def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
-    """Places with those of absent vessels filled in and headings that go on beyond a full turn, (S, V, 7). Between two
-    stretches they are linear. Before the first and after the last, positions go on at their speed, and angles stay."""
+    """Places with absent vessels' filled in, linearly or, at the ends, at their speed; headings unwrap; (S, V, 7)."""
     filled = places_m.copy()
     for vessel in np.flatnonzero(present.any(axis=0)).tolist():
         steps = np.flatnonzero(present[:, vessel])
@@ -171,9 +168,8 @@ class BoxModel:
         return self.traffic.camera_at(times_s + values["clock_s"], turn, values["height_m"])
 
     def points_world(self, values: Values, times_s: Array, vessel: Indices, points_m: Array) -> Array:
-        """Points of n vessels in VCF, (n, K, 3), at times of the detector's clock, in WCF, (n, K, 3). What AIS reports
-        is the antenna: its offset is taken off. A delayed report says where a vessel was, so that the vessel is where
-        it reports to be that much later."""
+        """Points of n vessels in VCF, (n, K, 3), at the detector's times, in WCF. AIS reports the antenna: its offset
+        is taken off; and where a vessel was, if late, so that it is there that much later."""
         along, across, delay = values.vessels[vessel].T
         positions, rotations = self.traffic.at(times_s + values["clock_s"] + delay, vessel)
         antenna = np.stack([along, across, np.zeros(len(along))], axis=-1)
@@ -190,8 +186,7 @@ class BoxModel:
         return self.intrinsics(values).project(poses.to_camera(world))
 
     def boxes(self, values: Values, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
-        """Boxes that are not cut at the image, (n, 4), and the vertex in VCF at each edge, (n, 4, 3). Boxes of vessels
-        that are absent, or partly behind the camera, are nan."""
+        """Uncut boxes, (n, 4), and each edge's vertex in VCF, (n, 4, 3); nan for absent vessels or ones behind."""
         hulls = self.hulls_m[vessel]
         pixels = self.pixels(values, times_s, vessel, hulls)
         shown = self.traffic.there(times_s + values["clock_s"] + values.vessels[vessel, 2], vessel)
@@ -233,9 +228,8 @@ class HidingBodies:
         return cls(model, tuple(planes for planes in solids if planes is not None), extents)
 
     def hidden(self, values: Values, times_s: Array, vessel: Indices, corners_m: Array, group: Indices) -> Mask:
-        """Mask of the hidden ones of the vertices in VCF that make the edges of boxes, (n, 4, 3) to (n, 4), of vessels
-        at times of the detector's clock, (n,) each. `group` is the frame of each row, ascending: only vessels of the
-        same frame hide each other."""
+        """Mask (n, 4) of hidden ones of the vertices in VCF that make edges of boxes, (n, 4, 3), of vessels at times
+        (n,). `group` is the frame of each row, ascending: only vessels of the same one hide each other."""
         ends = self.model.points_world(values, times_s, vessel, corners_m)
         starts = self.model.camera_poses(values, times_s).positions_m[:, None]
         hidden = np.zeros(ends.shape[:2], dtype=bool)
@@ -246,8 +240,7 @@ class HidingBodies:
         delay = values.vessels[vessel[other], 2]
         places, rotations = self.model.traffic.at(times_s[other] + values["clock_s"] + delay, vessel[other])
         begin, stop = ((points - places[:, None]) @ rotations for points in (starts[row], ends[row]))
-        inside = crosses_box(begin, stop, self.extents_m[vessel[other]])
-        np.logical_or.at(hidden, row, inside)
+        np.logical_or.at(hidden, row, crosses_box(begin, stop, self.extents_m[vessel[other]]))
         return hidden
 
 
@@ -261,8 +254,7 @@ def planes_of(vertices_m: Array) -> Array | None:
 
 
 def crosses(starts_m: Array, ends_m: Array, planes: Array) -> Mask:
-    """Whether the way from starts to ends goes through a convex solid, (..., 3) to (...). The part of the way inside
-    all half-spaces is found by cutting it at each plane in turn."""
+    """Whether ways from starts to ends cross a convex solid, (..., 3) to (...), found by a cut at each plane."""
     at_start = starts_m @ planes[:, :3].T + planes[:, 3]
     at_end = ends_m @ planes[:, :3].T + planes[:, 3]
     return _stays(np.broadcast_to(at_start, at_end.shape), at_end)
@@ -271,8 +263,7 @@ def crosses(starts_m: Array, ends_m: Array, planes: Array) -> Mask:
 def crosses_box(starts_m: Array, ends_m: Array, extents_m: Array) -> Mask:
     """Whether ways of shapes (n, ..., 3) cross boxes in their own VCF, with extents of shape (n, 3)."""
     half = extents_m / 2 * (1, 1, 0) + extents_m * (0, 0, 1)
-    low = -half * (1, 1, 0)
-    upper, lower = half[:, None], low[:, None]
+    upper, lower = half[:, None], (-half * (1, 1, 0))[:, None]
     at_start = np.concatenate([starts_m - upper, lower - starts_m], axis=-1)
     at_end = np.concatenate([ends_m - upper, lower - ends_m], axis=-1)
     return _stays(np.broadcast_to(at_start, at_end.shape), at_end)
@@ -284,8 +275,7 @@ def _stays(at_start: Array, at_end: Array) -> Mask:
     with np.errstate(divide="ignore", invalid="ignore"):
         cut = -at_start / change
     enters = np.where(change < 0, cut, np.where((change == 0) & (at_start > 0), np.inf, 0.0)).max(axis=-1)
-    leaves = np.where(change > 0, cut, 1.0).min(axis=-1)
-    return np.asarray(np.maximum(enters, 0.0) < np.minimum(leaves, NEARLY))
+    return np.asarray(np.maximum(enters, 0.0) < np.minimum(np.where(change > 0, cut, 1.0).min(axis=-1), NEARLY))
 
 
 def same_frame(first: Indices, second: Indices) -> tuple[Indices, Indices]:

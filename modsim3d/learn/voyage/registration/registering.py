@@ -12,32 +12,13 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.log_to_scene import Correction
+from modsim3d.learn.voyage.registration import parameters
 from modsim3d.learn.voyage.registration.estimating import PROBED, Estimated, blocks_of, columns, estimate, linearized
 from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, BoxesAtTimes, Sightings
-from modsim3d.learn.voyage.registration.identifiability import (
-    COMMON_DELAY,
-    ConfoundedGroup,
-    Knowledge,
-    Linear,
-    covering,
-    exchange,
-    undetermined,
-)
 from modsim3d.learn.voyage.registration.initial_guesses import check_matches, check_times, explained, rivals_of, starts
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
-from modsim3d.learn.voyage.registration.parameters import (
-    MEAN_ERRORS,
-    SHARED,
-    SHARED_NAMES,
-    Values,
-    VesselEffects,
-    held,
-    known_of,
-    plausible,
-)
+from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, ConfoundedGroup, Linear, Values, held
 from modsim3d.scene.scene import Scene
-
-# ---- A registration ----
 
 
 @dataclass(frozen=True)
@@ -56,9 +37,8 @@ class RegisteredValue:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Differences of a camera and the clock of its detector from what the scene says. Root mean squares are of
-    bearings' and waterlines' residuals by the same matches, with the scene's values, nan if one has no place in the
-    image then, and with the registration."""
+    """Differences of a camera and its detector's clock from the scene. Root mean squares are of bearings' and
+    waterlines' residuals by the same matches, with the scene's values, nan if not in the image, and registered."""
 
     camera: str
     values: Values
@@ -136,8 +116,7 @@ def register(
     by `DELAY_S` over vessels. None if nothing is expected: then the matches alone tell, which few vessels do badly.
     `noise_m` is the standard deviation, in each direction, of errors of positions that change over minutes, such as
     those of satellite navigation: see `drift_axes`. The attitude of own ship as it was measured replaces the scene's
-    waves.
-    Raises ModsimError, with the reason, if the data cannot tell."""
+    waves. Raises ModsimError, with the reason, if the data cannot tell."""
     eye = _camera(scene, camera)
     if scene.live:
         raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
@@ -155,18 +134,20 @@ def register(
     aligned = tied.until_stable(tied.first(best), tied.all_unknowns(), tied=True)
     check_matches(model, aligned, scene.vessel_names)
     linear = linearized(tied, aligned)
-    groups = undetermined(Linear(columns(linear, free), linear.residuals), free, blocks_of(aligned.residuals))
+    chosen = Linear(columns(linear, free), linear.residuals)
+    groups = parameters.undetermined(chosen, free, blocks_of(aligned.residuals))
     # Values that the data do not determine are the scene's; the others are fitted without ties, from each start.
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
     last = _LastFit(Aligner(model, hiding, some, free, use_sizes), free, lost, offsets_m, noise_m, scene.vessel_names)
-    fits = [last.of(aligned), *filter(None, map(last.from_start, rivals))]
-    estimated, known = _best(last.aligner, fits, free)
+    estimated, known = _best(last.aligner, [last.of(aligned), *filter(None, map(last.from_start, rivals))], free)
     check_matches(model, estimated.aligned, scene.vessel_names)
     vessels = _vessel_estimates(scene, model, estimated.aligned, estimated.effects, known.covariance)
     rules = _rules(fixed, {*free, *lost}, groups, known_means)
     # Held by a rule: what the others would be under another one.
-    groups += [exchange(estimated.linear, PROBED, name, list(free)) for name in (*BY_RULE, COMMON_DELAY)]
+    groups += [
+        parameters.exchange(estimated.linear, PROBED, name, list(free)) for name in (*BY_RULE, parameters.COMMON_DELAY)
+    ]
     aligned = estimated.aligned
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
@@ -175,7 +156,7 @@ def register(
     return replace(done, estimates=tuple(estimates))
 
 
-_MEANS = tuple(parameter.name for parameter in MEAN_ERRORS)
+_MEANS = tuple(parameter.name for parameter in parameters.MEAN_ERRORS)
 _SIZES = _MEANS[2:]
 
 
@@ -250,7 +231,7 @@ class _LastFit:
         return self.aligner.until_stable(again, self.aligner.all_unknowns(), tied=False)
 
 
-def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, Knowledge]:
+def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, parameters.Knowledge]:
     """The fit that explains the detections best, with intervals that hold those nearly as good, too."""
     if len(fits) == 1:
         return fits[0], fits[0].known
@@ -258,11 +239,11 @@ def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) ->
     (most, best), *others = sorted(scored, key=lambda pair: -float(pair[0].sum()))
     values = best.aligned.values
     rivals = rivals_of(most, values, [(less, fit.aligned.values) for less, fit in others])
-    return best, covering(best.known, [rival.scaled(free) - values.scaled(free) for rival in rivals])
+    return best, parameters.covering(best.known, [rival.scaled(free) - values.scaled(free) for rival in rivals])
 
 
 def _vessel_estimates(
-    scene: Scene, model: BoxModel, aligned: Alignment, effects: VesselEffects, covariance: Array
+    scene: Scene, model: BoxModel, aligned: Alignment, effects: parameters.VesselEffects, covariance: Array
 ) -> tuple[RegisteredValue, ...]:
     """Determined values of single vessels; `covariance` is that of the camera's parameters in plausible distances."""
     if not effects.spreads.any():
@@ -275,7 +256,7 @@ def _vessel_estimates(
     speeds = (totals / np.maximum(counts, 1))[effects.vessels]  # the last matches may be without one of them
     return tuple(
         RegisteredValue(name, words, unit, value, error, value - NORMAL * error, value + NORMAL * error)
-        for name, words, unit, value, error in known_of(effects, covariance, speeds, scene.vessel_names)
+        for name, words, unit, value, error in parameters.known_of(effects, covariance, speeds, scene.vessel_names)
     )
 
 
@@ -284,13 +265,13 @@ def _registration(
     model: BoxModel,
     aligned: Alignment,
     free: tuple[str, ...],
-    known: Knowledge,
+    known: parameters.Knowledge,
     rules: dict[str, str],
     groups: list[ConfoundedGroup],
     vessels: tuple[RegisteredValue, ...],
     detections: int,
 ) -> Registration:
-    scales, estimates, nan = plausible(free), [], float("nan")
+    scales, estimates, nan = parameters.plausible(free), [], float("nan")
     for parameter in SHARED:
         value = aligned.values[parameter.name]
         error, half = nan, nan
@@ -305,6 +286,5 @@ def _registration(
 
 
 def _rms(model: BoxModel, aligned: Alignment, values: Values) -> float:
-    """Root mean square of bearings' and waterlines' residuals in pixels."""
     px = aligned.residuals.px(model, values)[aligned.residuals.kind <= 3]
     return float(np.sqrt(np.mean(px**2))) if len(px) else float("nan")

@@ -9,8 +9,16 @@ from scipy.stats import binom
 
 from modsim3d.learn.voyage.registration.estimating import KNOT_S, LASTS_S, drift_axes, fit_drift
 from modsim3d.learn.voyage.registration.icp import SightingResiduals, Sightings
-from modsim3d.learn.voyage.registration.identifiability import Knowledge, Linear, covering, undetermined
-from modsim3d.learn.voyage.registration.parameters import VesselEffects, known_of, plausible, vessel_effects
+from modsim3d.learn.voyage.registration.parameters import (
+    Knowledge,
+    Linear,
+    VesselEffects,
+    covering,
+    known_of,
+    plausible,
+    undetermined,
+    vessel_effects,
+)
 
 DRAWS, VESSELS, FRAMES = 400, 8, 60
 SEEN, NOISE_M, OFFSET_M, DELAY_S = 20, 3.0, 2.0, 0.5

@@ -12,8 +12,7 @@ from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import RICHER, LearnSettings
 from modsim3d.learn.self_check import simulated
-from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
-from modsim3d.learn.voyage.non_ais.rates import RateSource, TimeSpan, parse_stretches
+from modsim3d.learn.voyage.non_ais.classification import RateSource, TimeSpan, classify_unmatched, parse_stretches
 from modsim3d.learn.voyage.report import learn_beside_unseen, rows_of, sentences
 from tests.learn.one_state import detector
 from tests.learn.voyage.unseen.voyages import HORIZON_PX, Flicker, observed, voyage
