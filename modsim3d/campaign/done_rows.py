@@ -129,8 +129,6 @@ def _possible(plan: Plan, name: str) -> Iterator[Any]:
             yield from [0.0] if choices is None else [value for value in choices if value is not None]
 
 
-# ---- The rows that are done, and the data set that is made of them at the end ----
-
 PART_ROWS = 50_000  # rows of a file of the data set: they follow the plan, whoever made them
 
 
@@ -198,8 +196,6 @@ def results_table(folder: CampaignFolder) -> pa.Table:
         table = table.join(took, "run", use_threads=False).sort_by("run").combine_chunks()
     return table
 
-
-# ---- How many traffic seeds each requirement of a plan needs ----
 
 POWER = 0.8  # how often a mean as expected is to be met
 _DRAWN, _DRAWN_SEQUENTIAL, _LONGEST = 20_000, 100, 5_000

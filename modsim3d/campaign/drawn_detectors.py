@@ -97,8 +97,7 @@ _INDEPENDENT = 0.01  # share of the identity in the matrix of correlations, whos
 _ROUNDING = 1e-5  # least eigenvalue of a covariance over its greatest
 NOT_NEGATIVE = ("visibility_slope", "size_slope")
 _DIGITS = 1e-5  # what the digits of the settings may change in proportion
-_MAX_FACTOR = 10.0
-"""Numbers and rates are drawn within this factor of their estimates; of a few things `learn` knows no bound at all."""
+_MAX_FACTOR = 10.0  # numbers and rates are drawn within this factor of their estimates; some have no bound at all
 
 
 def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:

@@ -37,8 +37,7 @@ FORMAT = 1
 FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
 TOOK, TOOK_VERDICTS = "took.parquet", "took_verdicts.json"
 """What runs took, and the verdicts on it: they do not repeat, so no checksum and no comparison has them."""
-RESULTS, SEARCH = "results", "search"
-"""In the folder of a campaign that has ended: its rows, and the trials of a search."""
+RESULTS, SEARCH = "results", "search"  # in the folder of a campaign that has ended: its rows; the trials of a search
 LIST = "_files.json"  # in one of these; readers of data sets pass over names that begin so
 _ROWS = "**/*.parquet"
 
@@ -106,8 +105,6 @@ def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
 def _said(file: ListedFile | None) -> str:
     return "is missing" if file is None else f"has {file['bytes']} bytes and the checksum {file['sha256']}"
 
-
-# ---- What differs between two plans, in words ----
 
 MOST = 5
 PARTS = ("campaign", "versions")  # of a plan, what its user knows: the keys of the file, and the versions of packages
@@ -282,8 +279,6 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
     changed = f"{', '.join(files)} changed" if files else "; ".join(differences(found, facts))
     raise OutputError(f"{plan.parent} holds a campaign with another plan: {changed}. Choose another folder")
 
-
-# ---- Workers that were killed from outside ----
 
 _LINE = re.compile(r"killed \S+ how=(.*) host=.* runs=([0-9,]+)")
 _MOST = 8  # numbers of runs in a sentence

@@ -185,8 +185,7 @@ class ScoreKeys(Strict):
         return {key: value for key, value in handler(self).items() if key != "in_world" or value is not None}
 
 
-KNOWN = "known_m"
-"""Score of an approach: the distance from which on a vessel is known."""
+KNOWN = "known_m"  # score of an approach: the distance from which on a vessel is known
 
 
 class ApproachKind(Strict):

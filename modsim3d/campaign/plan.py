@@ -104,8 +104,6 @@ def _levels(factor: Factor) -> Iterator[dict[str, Any]]:
         yield {}
 
 
-# ---- Values of keys that are drawn from ranges, a point for each traffic seed ----
-
 _HYPERCUBE, _UNIFORM = 1, 2
 
 

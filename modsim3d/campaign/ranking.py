@@ -73,7 +73,6 @@ def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
 
 
 def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> _Ranking:
-    """The runs that some verdicts on one requirement are about."""
     requirement, labels = plan.keys.require[verdicts[0].requirement], [each.label for each in plan.keys.trackers]
     trackers = np.asarray(table["tracker"].to_pylist(), dtype=object)
     conditions = table["condition"].to_numpy()

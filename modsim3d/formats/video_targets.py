@@ -113,8 +113,6 @@ def _visible(
     return fractions, unknown, [f"{doubt}: {remedy}"] if hidden else []
 
 
-# ---- The videos of a labelled set ----
-
 NO_NAME = "sequence"  # the name of a sequence to which the file gives none
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]")
 _MAX_NAME = 100
@@ -194,8 +192,6 @@ def _alike(videos: list[Video]) -> Iterator[str]:
         if before is not video.name:
             yield f"sequences {shown(before)} and {shown(video.name)} would have files of one name: rename one of them"
 
-
-# ---- Which of the detector's labels each class of a file is ----
 
 NO_TARGET = "-"  # in place of a label: things of this class are not to be detected
 

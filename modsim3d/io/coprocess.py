@@ -15,10 +15,8 @@ from modsim3d.io.operating_system import Program
 
 MAX_LINE_BYTES = 64 << 20
 _CHUNK = 1 << 16
-_LAST_BYTES, _LAST_LINES = 4096, 8
-"""How much of standard error is kept, and how many of its lines an error has."""
-_END_S = 5.0
-"""Time that a program has to end once its output has ended."""
+_LAST_BYTES, _LAST_LINES = 4096, 8  # how much of standard error is kept, and how many of its lines an error has
+_END_S = 5.0  # time that a program has to end once its output has ended
 
 
 class CoprocessError(ModsimError):

@@ -101,8 +101,6 @@ def inherited(pipe_number: int) -> Connection:
     return Connection(pipe_number)
 
 
-# ---- Another program ----
-
 SUPERVISOR = """\
 import _thread, os, signal, sys, time
 from contextlib import suppress

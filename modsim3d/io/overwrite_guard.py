@@ -136,8 +136,6 @@ def _leave_to_the_parent() -> None:
 operating_system.after_fork(_leave_to_the_parent)
 
 
-# ---- Guard of the files that a command writes ----
-
 Identity = tuple[int, int]  # device and number of a file or folder, which all its names share
 
 

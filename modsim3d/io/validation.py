@@ -203,8 +203,6 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
     return lines
 
 
-# ---- Detection conditions ----
-
 CONDITIONS = "conditions"  # name of the shipped folder, with the conditions that the thesis measured
 
 

@@ -99,8 +99,6 @@ def _detections(rows: RunRows, frames: Indices) -> TrackerDetections:
     return every.take(every.frame >= 0)
 
 
-# ---- Cameras that see no vessel, and why ----
-
 FIRST_STEPS, SPREAD_STEPS = 10, 20  # steps that are looked at: so many at the beginning, and so many over the whole run
 MIN_AREA_PX = 1.0
 LEVEL_DEG = 0.05  # a camera that looks no farther from the horizontal is said to look along it

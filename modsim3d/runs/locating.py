@@ -77,8 +77,6 @@ def _mixed(source: BoxErrorSource, shares: Array, sizes_px: Array) -> tuple[Arra
     return mean, covariance
 
 
-# ---- From where a camera looks ----
-
 _NO_TURN = (0.0, 0.0, 0.0)
 
 

@@ -313,7 +313,6 @@ def _interrupted_run(folder: Path) -> StoredRun:
 
 
 def _kept_steps(folder: Path, scene: Scene) -> int:
-    """Number of steps, from the first on, whose truth an interrupted run has kept."""
     kept = 0
     for start, end in block_ranges(scene.steps, block_steps(scene)):
         if finished_truth(folder / UNFINISHED, scene, start, end) is None:

@@ -48,8 +48,6 @@ def anonymised(frame: Indices, label: Indices, boxes_px: Array, confidence: Arra
     return TrackerDetections(frame, label, boxes_px, confidence).take(order)
 
 
-# ---- What a tracker may read ----
-
 TRACKER_INPUT = "tracker_input"
 
 

@@ -12,8 +12,7 @@ from modsim3d.geometry.kinematics import first_derivative, second_derivative, sl
 from modsim3d.scene.scene import Scene
 from modsim3d.world.floating_vessels import GRAVITY_M_S2
 
-NEIGHBOURS = 2
-"""The acceleration at the scene's first step equals that of the second, which needs the third."""
+NEIGHBOURS = 2  # the acceleration at the scene's first step equals that of the second, which needs the third
 
 
 @dataclass(frozen=True, eq=False)

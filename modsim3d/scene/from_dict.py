@@ -21,8 +21,7 @@ from modsim3d.world.poses.labelled import LABELS, GivenLabels, LabelledPoses, La
 from modsim3d.world.poses.registry import NamedSource
 from modsim3d.world.poses.replay import RecordedPoses
 
-DETECTOR_FILE = "detector.yaml"
-"""The file in a copy of the scene that holds a detector from no file."""
+DETECTOR_FILE = "detector.yaml"  # the file in a copy of the scene that holds a detector from no file
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}")
 
 
@@ -51,17 +50,8 @@ def scene_from_dict(
         inline = _inline(content, data.get("detector") if detector is None else detector)
     except RecursionError:
         raise InputError("scene", ["is nested too deeply"]) from None
-    settings = replacing(
-        {
-            "seed": seed,
-            "steps": steps,
-            "annotation.mode": mode,
-            "annotation.source": source,
-            "annotation.supersample": supersample,
-            "annotation.render": render,
-            "detector_seed": detector_seed,
-        }
-    )
+    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
+    settings = replacing({**given, "detector_seed": detector_seed})
     return assembled(_DictParts(name, content, arrays, inline, settings))
 
 

@@ -40,8 +40,7 @@ Seed = Annotated[int, Limits(ge=0, le=MAX_SEED)]
 Vector = tuple[Metres, Metres, Metres]
 MatrixRows = tuple[tuple[Pixels, Pixels, Pixels], tuple[Pixels, Pixels, Pixels], tuple[Pixels, Pixels, Pixels]]
 Size = Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
-TURN_RAD, RIGHT_ANGLE_RAD = 6.3, 1.58
-"""A whole turn and a right angle, as people round them."""
+TURN_RAD, RIGHT_ANGLE_RAD = 6.3, 1.58  # a whole turn and a right angle, as people round them
 
 
 def _radians(angle: float) -> float:
@@ -374,5 +373,4 @@ class Ais:
     position_noise_m: float = 3.0  # standard deviation of a position along each axis
 
 
-USUAL_AIS = Ais()
-"""Of a scene that says nothing."""
+USUAL_AIS = Ais()  # of a scene that says nothing

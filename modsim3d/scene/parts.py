@@ -104,8 +104,6 @@ def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Pa
     return Obstacle(name, (placed(solid, np.array(keys.size_m), np.array(keys.position_m), keys.heading_rad),))
 
 
-# ---- Vessels that a pose source draws ----
-
 MAX_NAMES = 3
 
 
@@ -170,10 +168,8 @@ OTHER_FILES = {
 """What a file with a key is that is no scene."""
 T = TypeVar("T")
 
-SCENE_FILE = "scene.yaml"
-"""A scene in a file of this name is called as its folder is."""
-NO_FILE = Path("scene")
-"""The path of a scene that is in no file and has no name."""
+SCENE_FILE = "scene.yaml"  # a scene in a file of this name is called as its folder is
+NO_FILE = Path("scene")  # the path of a scene that is in no file and has no name
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 

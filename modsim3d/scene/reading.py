@@ -34,8 +34,7 @@ from modsim3d.world.second_order_waves import AXES, Axes, Axis, SecondOrderWaves
 from modsim3d.world.vessel_motion import PERFECT_IMU, Imu, Waves
 from modsim3d.world.vessels import Vessel
 
-CHECKED_STEPS = 1000
-"""Steps whose camera positions are checked together; it bounds the memory."""
+CHECKED_STEPS = 1000  # steps whose camera positions are checked together; it bounds the memory
 
 
 def scene_problems(scene: Scene) -> list[str]:
@@ -148,8 +147,7 @@ def shipped_scenes() -> dict[str, Path]:
 
 def find_scene(scene: StrPath) -> Path:
     """The scene file that a path, a folder with a `scene.yaml`, a run directory or the name of a shipped scene stands
-    for. Raises
-    InputError if there is no such file and no such scene; TypeError for what is neither text nor a path."""
+    for. Raises InputError if there is no such file and no such scene; TypeError for what is neither text nor a path."""
     path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
     name = os.fspath(scene)
     try:
@@ -229,18 +227,11 @@ def load_scene(
     if not isinstance(data, dict):
         needed = f"a mapping of keys is needed (got {kind_of(data)})"
         raise InputError(f"scene {path}", ["the file is empty" if data is None else needed])
-    given: dict[str, object] = {
-        "seed": seed,
-        "steps": steps,
-        "annotation.mode": mode,
-        "annotation.source": source,
-        "annotation.supersample": supersample,
-        "annotation.render": render,
-        # Absolute, since a scene's paths are relative to it; not resolved, since a pipe resolves to what is no path.
-        "detector": None if detector is None else str(find_detector(detector).absolute()),
-        "detector_seed": detector_seed,
-    }
-    wanted = [*replacing(given), *state_settings(state, state_from, detector)]
+    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
+    # Absolute, since a scene's paths are relative to it; not resolved, since a pipe resolves to what is no path.
+    file = None if detector is None else str(find_detector(detector).absolute())
+    wanted = replacing({**given, "detector": file, "detector_seed": detector_seed})
+    wanted += state_settings(state, state_from, detector)
     return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {}, may_be_unread=may_be_unread)]))
 
 

@@ -78,8 +78,6 @@ def _steps(scene: Scene) -> str:
     return f"{counted(scene.steps, 'step')} in {scene.times_s(scene.steps - 1, scene.steps)[0]:g} s"
 
 
-# ---- When a camera takes its frames ----
-
 _EARLY = 1e-6  # of an interval: 0.3 / 0.1 is a hair below 3, and the frame at 0.3 s is due
 
 
@@ -95,8 +93,7 @@ def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> Mask:
     return taken
 
 
-_SAME_DECIMALS = 4
-"""Of metres and radians that are the same traffic: the last bits of exact ones depend on the processor."""
+_SAME_DECIMALS = 4  # of metres and radians of the same traffic: the last bits of exact ones depend on the processor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,18 +204,9 @@ class Scene:
         """
         import modsim3d  # whose names are imported when they are first used
 
-        return modsim3d.scene_from_dict(
-            data,
-            name=name,
-            seed=seed,
-            steps=steps,
-            mode=mode,
-            source=source,
-            supersample=supersample,
-            render=render,
-            detector=detector,
-            detector_seed=detector_seed,
-        )
+        numbers: dict[str, Any] = {"seed": seed, "steps": steps, "mode": mode, "supersample": supersample}
+        given = {**numbers, "source": source, "render": render, "detector": detector, "detector_seed": detector_seed}
+        return modsim3d.scene_from_dict(data, name=name, **given)
 
     @cached_property
     def vessel_names(self) -> tuple[str, ...]:

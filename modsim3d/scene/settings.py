@@ -20,8 +20,7 @@ from modsim3d.io.validation import find_condition, join_path, kind_of, model_at,
 from modsim3d.scene.keys import SceneKeys
 
 KeyPath = tuple[str | int, ...]
-FILE_SECTIONS = ("vessels", "detector")
-"""Sections of a scene that may be the name of a file with what could also stand in their place."""
+FILE_SECTIONS = ("vessels", "detector")  # they may be the name of a file with what could also stand in their place
 _INDEX = re.compile(r"\[(\d+)\]")
 
 
@@ -130,8 +129,9 @@ class Settings:
 
 
 def replacing(values: Mapping[str, object]) -> list[Setting]:
-    """The settings of those keys whose value is given, not None."""
-    return [Setting(key, plain(value)) for key, value in values.items() if value is not None]
+    """The settings of those keys whose value is given, not None; keys of the annotation stand for themselves."""
+    path = {key: f"annotation.{key}" for key in ("mode", "source", "supersample", "render")}
+    return [Setting(path.get(key, key), plain(value)) for key, value in values.items() if value is not None]
 
 
 def settings_of(values: Mapping[str, object], *, may_be_unread: bool = False) -> list[Setting]:
@@ -226,8 +226,6 @@ def _others(model: type[BaseModel] | None, key: str) -> set[str]:
             replaced |= {name for group in groups for name in group}.difference(own[0])
     return replaced
 
-
-# ---- A detector by its file or condition, with settings ----
 
 NO_DETECTOR = ""
 

@@ -124,8 +124,6 @@ def line_of_sight(
     )
 
 
-# ---- A scene at one step ----
-
 CV_TO_GL = np.diag([1.0, -1.0, -1.0])
 """From camera axes as in computer vision (c2 down, c3 forward) to those of OpenGL and glTF (y up, z backward)."""
 BASE_FRAME = "#world"

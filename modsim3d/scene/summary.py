@@ -80,10 +80,7 @@ def _field_of_view_deg(lens: Intrinsics) -> tuple[float, float]:
     return across, down
 
 
-# ---- Vessels ----
-
-MOST_STEPS = 2000
-"""Steps at which vessels are looked at; of a longer scene so many, evenly over it."""
+MOST_STEPS = 2000  # steps at which vessels are looked at; of a longer scene so many, evenly over it
 
 
 def sampled_tracks(scene: Scene) -> HullTracks | None:
@@ -139,17 +136,13 @@ def vessel_types(scene: Scene, tracks: HullTracks | None) -> list[VesselType]:
     return types
 
 
-# ---- Doubts ----
-
 USUAL_M = {"length_m": ("long", 1, 500), "beam_m": ("wide", 0.3, 130), "air_draft_m": ("high", 0.1, 200)}
 """Sizes of vessels; the longest ever was 458 m (Seawise Giant), the widest is 124 m (Pioneering Spirit)."""
 MAX_FROUDE, MAX_SPEED_M_S, LARGE_M15_S = 6.0, 36.0, 350.0
 """Greatest speed over √(g length), of jet skis; greatest speed of any vessel, 70 knots; and speed times √length of
 large ones: the ferry Francisco did 29.8 m/s with 99 m in 2013, the liner United States 19.7 m/s with 302 m in 1952."""
-ASHORE_M = 0.5
-"""A path that reaches so far into an obstacle leads through it; at a quay it may touch."""
-MAX_COMPARED = 10_000_000
-"""Pairs of vessels at a step that are compared; where there are more, fewer steps are looked at."""
+ASHORE_M = 0.5  # a path that reaches so far into an obstacle leads through it; at a quay it may touch
+MAX_COMPARED = 10_000_000  # pairs of vessels at a step that are compared; with more, fewer steps are looked at
 
 
 def scene_warnings(scene: Scene) -> list[str]:

@@ -25,8 +25,7 @@ from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.tracks import TrackSet
 
 LEVEL = 0.95  # confidence of the interval of a mean
-SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")
-"""The scores whose spread is told."""
+SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")  # whose spread is told
 MIN_SEEDS, MAX_SEEDS = 2, 1000
 
 

@@ -335,7 +335,6 @@ def _in_world(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
 
 
 def _approaches(found: PredictedApproaches) -> Iterator[Block]:
-    """Closest approaches as tracks predict them, by the time that is left and by range."""
     errors = ("cpa_error_m", "tcpa_error_s", "perfect_cpa_error_m")
     counts = ("in_view", "predicted", "right", "alarms_due", "missed_alarms", "false_alarms")
     rules = found.rules
@@ -387,7 +386,6 @@ def _encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
 
 
 def _is_missed(met: MetVessel) -> bool:
-    """Whether a camera saw the vessel, and no track ever followed it."""
     return met.seen_s is not None and met.established_s is None
 
 

@@ -184,7 +184,6 @@ def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, .
 
 
 def _one_sided(each: TrackSet, run: StoredRun) -> ModsimError:
-    """The error of tracks whose file has no line of a camera."""
     every = [f"--camera {camera.name}" for camera in run.scene.cameras]
     some = [f"--camera {camera.name}" for camera in run.scene.cameras if camera.name not in each.unnamed]
     return ModsimError(

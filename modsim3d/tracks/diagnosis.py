@@ -60,8 +60,7 @@ _SIZES_PX = (
 """Sizes to which images are often scaled for a detector or a tracker; halves and doubles of their own are tried too."""
 _MAX_NORMALISED, _PER_CENT, _MANY_PX = 2.0, 100, 400
 """Numbers up to these are shares, or may be in per cent if each side of the images has so many pixels or more."""
-_CLEARLY = 1.0
-"""By how many standard deviations of a sign test boxes must be nearer to the truth too if a bias looks the same."""
+_CLEARLY = 1.0  # standard deviations of a sign test by which boxes must be nearer if a bias looks the same
 _LATE, _EXCHANGED = "frames are one too high", "x and y of the boxes are exchanged"
 _BEYOND_PX, _MAX_BEYOND = 5.0, 0.1
 """Boxes may reach beyond their image by so much, and so many of them by more, as those of boats that it cuts do."""
@@ -246,7 +245,6 @@ def _beyond(boxes_px: Array, image_px: Array) -> Mask:
 
 
 def _median(away: Array) -> float:
-    """Median distance of the boxes that have a known box in their frame."""
     there = away[np.isfinite(away)]
     return float(np.median(there)) if len(there) else np.inf
 

@@ -265,7 +265,6 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> list[FileRows]:
 
 
 def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
-    """Known boxes: those that are boxes, in order of frame."""
     order = np.argsort(frame, kind="stable")
     order = order[np.isfinite(boxes_px[order]).all(axis=1)]
     return KnownBoxes(word, frame[order], boxes_px[order])

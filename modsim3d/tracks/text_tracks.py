@@ -217,8 +217,6 @@ def _nearest(times_s: Array, wanted_s: Array) -> Indices:
     return closer
 
 
-# ---- Tracks in text files of MOTChallenge, one file a camera ----
-
 _FIRST = ("frame", "identity", *MOT.names, "confidence")
 _LEAST = 6
 _NO_CONFIDENCE = -1

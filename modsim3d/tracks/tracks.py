@@ -128,8 +128,6 @@ class WorldTracks:
         return float(np.median(gaps)) if len(gaps) else 0.0
 
 
-# ---- How alike a track's box and a vessel's are, from 0 to 1 ----
-
 SimilarityName = Literal["iou", "centre"]
 
 
@@ -212,8 +210,6 @@ def name_of(path: Path) -> str:
     return path.name.removesuffix(".gz").rsplit(".", 1)[0]
 
 
-# ---- Which boxes and covariances a track may have ----
-
 FAR = "the box lies more than an image away from the image, as does all of its track"
 
 
@@ -235,8 +231,6 @@ def covariances(xx: Array, xy: Array, yy: Array) -> Mask:
     possible: Mask = (xx > 0) & (yy > 0) & (xx * yy > xy * xy) & np.isfinite(xx + yy)
     return possible
 
-
-# ---- Names of the sequences that cameras become in other programs' files ----
 
 SEQUENCE_HEADING = "name"
 """The first line of a sequence map; some programs skip every line like it, so that no sequence has this name."""
@@ -265,8 +259,6 @@ def camera_sequence_names(cameras: Sequence[str]) -> tuple[str, ...]:
         names.append(free_name(camera, names))
     return tuple(names)
 
-
-# ---- What the columns of `tracks.parquet` are, and tracks as its rows ----
 
 COVARIANCES = ("var_x_px2", "cov_xy_px2", "var_y_px2")
 _NONE = "null if the tracker says none"

@@ -69,10 +69,7 @@ def appearances(rows: RunRows, gap_s: float) -> Indices:
     return found
 
 
-# ---- Which track follows which vessel, frame by frame ----
-
-_SAME_AS_BEFORE = 1000.0
-"""A pair of the frame before gains so much over all others, as CLEAR MOT has it (Bernardin & Stiefelhagen (2008))."""
+_SAME_AS_BEFORE = 1000.0  # what a pair of the frame before gains, as in CLEAR MOT (Bernardin & Stiefelhagen (2008))
 
 
 @dataclass(frozen=True, eq=False)

@@ -175,8 +175,6 @@ def _velocities_m_s(
     return np.column_stack([np.cos(turn) * east - np.sin(turn) * north, np.sin(turn) * east + np.cos(turn) * north])
 
 
-# ---- Tracks in the world from a ROS 2 bag ----
-
 MAP = "map"  # the frame of the scene's axes in the bags that a run is exported to
 _KINDS = (DETECTIONS_3D, ODOMETRY)
 
@@ -283,8 +281,6 @@ def _of_odometry(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
     quaternion, velocity = (turn.x, turn.y, turn.z, turn.w), (speed.x, speed.y, speed.z)
     yield _Estimate(*known, quaternion, velocity, np.asarray(twist.covariance))
 
-
-# ---- Tracks in the world from files ----
 
 IN_IMAGE = "x_min_px"
 

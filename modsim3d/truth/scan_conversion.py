@@ -44,12 +44,6 @@ def _edges_of(solid: Solid) -> Indices:
     return np.array(pairs, dtype=np.int64).T
 
 
-def facing(corners_px: Array) -> Array:
-    """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area. They
-    are in buffer pixels, counter-clockwise seen from outside. Shape (..., 3, 2) to (...)."""
-    return doubled_areas(_on_grid(corners_px))
-
-
 @dataclass(frozen=True, eq=False)
 class _Edges:
     """Edges of the outlines of n silhouettes that cross scan lines of the image. The left edges of all silhouettes come
@@ -66,7 +60,7 @@ class _Edges:
         """The edges between a face turned to the camera and one turned away, in an image of some height."""
         x, y = _on_grid(vertices_px.T.copy())  # rows of a vertex each: they are taken faster than columns
         (a, b, c), (start, end, left, right) = solid.faces.T, _edges_of(solid)
-        # As `facing` says. A face seen edge-on is taken to be turned away: the outline then runs around it.
+        # As its doubled area says. A face seen edge-on is taken to be turned away: the outline then runs around it.
         towards = (y[b] - y[a]) * (x[c] - x[a]) > (x[b] - x[a]) * (y[c] - y[a])
         edge, row = np.nonzero(towards[left] != towards[right])
         one, other = start[edge], end[edge]

@@ -88,8 +88,6 @@ def vessel_bodies(
     return bodies
 
 
-# ---- Obstacles stand still and hide vessels ----
-
 PREFIX = "obstacle:"
 
 

@@ -44,8 +44,6 @@ class WaveMotion(Protocol):
         """Heave and attitude of a vessel, by its ID, at its times and places; they are the same for all cameras."""
 
 
-# ---- An irregular long-crested sea ----
-
 PEAKEDNESS = 3.3  # the mean of the JONSWAP campaign
 OCTAVES_BELOW, OCTAVES_ABOVE = 1, 3  # around the peak; 0.03 % of the energy lies above this range, and none below
 COMPONENTS_PER_OCTAVE = 40
@@ -112,8 +110,6 @@ def jonswap_sea(
         direction_rad=direction_rad,
     )
 
-
-# ---- Response of a hull to harmonic waves ----
 
 Complex = NDArray[np.complex128]
 

@@ -263,8 +263,6 @@ def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
             raise Refused(f"has accessor {number} with {held}: is it cut off?")
 
 
-# ---- Parts of a mesh file, and all of them joined in the file's own axes ----
-
 NO_CHANGE = 1e-8  # a transform that differs less than this from the identity is taken for it
 
 

@@ -51,8 +51,6 @@ def check_reference(reference: str, what: str) -> None:
         raise Refused(f"refers to {shortened!r} ({what}), which is remote or outside its folder: remove the reference")
 
 
-# ---- Checks of STL, PLY and OBJ files before they are parsed ----
-
 CHUNK_BYTES = 2**20
 MAX_PARTS = 1000
 MAX_DIGITS = 18  # of a number in a header; Python reads no number of thousands of digits

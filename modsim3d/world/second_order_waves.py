@@ -117,8 +117,6 @@ class SecondOrderWaves:
         track.angles = np.concatenate([track.angles, np.stack(columns, axis=1)])
 
 
-# ---- Wave levels by name, plug-ins included ----
-
 Axes = tuple[Axis, Axis, Axis]  # roll, pitch and yaw
 
 

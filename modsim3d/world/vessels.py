@@ -360,8 +360,6 @@ def _is_convex(vertices: Array, volume: float) -> bool:
         return False
 
 
-# ---- Vessel shapes from plug-ins ----
-
 LOW, HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 1.0])
 """Corners of the box that a shape fills, in units of length, beam and air draft, each of shape (3,)."""
 SLACK = 1e-6

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from modsim3d.geometry.camera import clip_triangles, guard_planes, near_plane
 from modsim3d.truth import outlines as outlines_module
 from modsim3d.truth.buffer_drawing import subdivided, triangles_of, within_guard
-from modsim3d.truth.scan_conversion import facing
-from modsim3d.truth.silhouettes import cut_faces, cut_near
+from modsim3d.truth.scan_conversion import _on_grid
+from modsim3d.truth.silhouettes import cut_faces, cut_near, doubled_areas
 from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
@@ -176,7 +176,7 @@ def test_only_long_edges_are_cut():
 def test_without_faces_turned_away_the_others_are_the_same(factor):
     outlines = outlines_of(random_places(np.random.default_rng(22), 60, near_m=5.0, far_m=150.0))
     every, some = (triangles_of(outlines, INTRINSICS, factor, **only) for only in ({}, {"facing_only": True}))
-    kept = ~every.of_whole | (facing(every.corners_px * factor) > 0)
+    kept = ~every.of_whole | (doubled_areas(_on_grid(every.corners_px * factor)) > 0)
     assert (every.of_whole & kept).sum() > 100 and len(some.row) < len(every.row) * 0.7
     for name in ("row", "corners_px", "inverse_depth", "of_whole"):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[kept], err_msg=name)

@@ -12,8 +12,8 @@ from modsim3d.truth.buffer_drawing import triangles_of, within_guard
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.record import COLUMNS
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.truth.scan_conversion import facing, scan_convert
-from modsim3d.truth.silhouettes import Spans, counts_and_boxes, spans_of_ids
+from modsim3d.truth.scan_conversion import scan_convert
+from modsim3d.truth.silhouettes import Spans, counts_and_boxes, doubled_areas, spans_of_ids
 from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_rafts, random_scene, vessel
 
@@ -118,9 +118,9 @@ def test_outline_that_crosses_itself_is_drawn_instead_and_its_neighbours_are_not
 
 
 def test_faces_turned_to_the_camera_are_those_whose_corners_run_counter_clockwise():
-    assert facing(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])) > 0  # rows run downwards
-    assert facing(np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]])) < 0
-    assert facing(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == 0
+    assert doubled_areas(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])) > 0  # rows run downwards
+    assert doubled_areas(np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]])) < 0
+    assert doubled_areas(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == 0
 
 
 def test_spans_of_an_id_image_are_the_pixels_of_each_silhouette():

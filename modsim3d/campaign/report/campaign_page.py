@@ -176,8 +176,6 @@ def _difference(each: PairedDifference, span: tuple[float, float]) -> Cell:
     return Cell("", draw=partial(strip, found, 0.0, None, span, label))
 
 
-# ---- Single runs on the page ----
-
 WORST = 5  # runs that are shown with a picture
 WIDTH_PX, QUALITY = 960, 82  # of a picture: pixels, and of JPEG
 MAX_ERRORS, MAX_NUMBERS = 20, 8

@@ -236,8 +236,6 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[Block]:
         yield Text(shlex.join(words), "code")
 
 
-# ---- Parts of the ranges of a campaign file that no draw came near ----
-
 TENTHS, QUARTERS = 10, 4  # a range is looked at in tenths, and each pair of ranges in squares of quarters
 
 
@@ -431,7 +429,6 @@ def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable
 
 
 def _trackers(folder: CampaignFolder) -> Iterator[Block]:
-    """The settings of each tracker, which may differ between scenes and conditions."""
     found: dict[tuple[str, ...], list[int]] = {}
     for number, condition in enumerate(folder.facts["conditions"]):
         for label, facts in condition["trackers"].items():

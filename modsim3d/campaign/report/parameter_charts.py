@@ -76,8 +76,6 @@ def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
     return MeanGrid(*(np.stack([getattr(each, name) for each in found]) for name in ("mean", "low", "high", "seeds")))
 
 
-# ---- The parameters that a campaign varies ----
-
 MAX_LEVELS = 12  # numbers of a grid that are shown one by one
 BINS = 6  # stretches into which drawn numbers are put
 DECADES = 1.5  # from so many between the least and the greatest number on, an axis is logarithmic

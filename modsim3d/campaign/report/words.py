@@ -134,8 +134,6 @@ def without_empty(rows: Sequence[Row], header: Sequence[str], empty: Sequence[st
     return [[row[place] for place in kept] for row in rows], [header[place] for place in kept]
 
 
-# ---- The first section of the page ----
-
 SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecided": "? undecided"}
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
 OFTEN_EMPTY = ("crashed runs", "runs with nothing to score", "seeds without a value")  # left out if they say nothing
@@ -277,8 +275,6 @@ def or_nan(value: float | None) -> float:
     """A finite number as it is, NaN for others and for None."""
     return np.nan if value is None or np.isinf(value) else value
 
-
-# ---- What the page of a campaign rests on ----
 
 _ROWS = ".rows", ".parquet"
 

@@ -151,8 +151,6 @@ class SeedRows:
         return (slice(None), case.condition, slice(None), case.tracker)
 
 
-# ---- Differences between trackers on the same runs ----
-
 CONFIDENCE = 0.95
 
 

@@ -71,8 +71,6 @@ class Verdict:
         return bool(self.crashed or self.nothing or self.undefined or self.left_out or self.met_without_tracks)
 
 
-# ---- Judges the requirements of a campaign on its rows ----
-
 NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share of vessel-frames to be followed."
 _NAMED = 5  # most seeds without a value that are named
 

@@ -111,8 +111,6 @@ def _percent(probability: float) -> str:
     return percent(round(probability, 12))
 
 
-# ---- From how many traffic seeds on a mean is judged ----
-
 LOW, HIGH = "low", "high"
 DIFFERENCE = "difference"  # before the key of a score, with a point: of differences between two trackers
 OFFERS = "mean_offers.json"  # beside this file; written by `script/campaign sequences`

@@ -23,8 +23,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.command import CommandTracker, argument_files
 from modsim3d.tracking.trackers.world_interface import WorldTracker
 
-MAX_CONDITIONS = 10_000
-"""Each is read and checked before the first run, and is a row of the tables."""
+MAX_CONDITIONS = 10_000  # each is read and checked before the first run, and is a row of the tables
 MAX_RUNS = 5_000_000
 _ELSEWHERE = {
     "seed": "seeds",

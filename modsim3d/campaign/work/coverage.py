@@ -58,14 +58,12 @@ RANGES = Bins("covered.frames.range_", "m", (100, 200, 500, 1000, 2000, 5000))
 """Vessel-frames by the distance of the vessel's centre from the camera."""
 SIZES = Bins("covered.frames.size_", "px", (8, 16, 32, 64, 128, 256))
 """Vessel-frames by √(width × height) of the box, as the detector's effects of size take it."""
-OCCLUSIONS = Bins("covered.occlusions.", "s", LENGTH_EDGES_S)
-"""Occlusions by length, as the scores tell them apart."""
+OCCLUSIONS = Bins("covered.occlusions.", "s", LENGTH_EDGES_S)  # occlusions by length, as the scores tell them apart
 
 
 MET = "met."
 COVERED = "covered."
-VESSELS = "covered.vessels."
-"""Before a class: how many of its vessels a camera saw."""
+VESSELS = "covered.vessels."  # before a class: how many of its vessels a camera saw
 KINDS = {
     Encounter.HEAD_ON: "met.head_on",
     Encounter.GIVES_WAY: "met.crossing_from_starboard",
@@ -84,10 +82,8 @@ _ASKED = {
 """Kinds of drawn traffic, which names what the other vessel does."""
 SEEN = "met.seen"
 _COUNTS = ("covered.vessels", "covered.frames.", "covered.occlusions.")
-BLOCK_STEPS = 1_000
-"""Of the cameras' poses at a time: the poses of all vessels are worked out with them."""
-_DECIMALS = 6
-"""Of every number that is no count: the last bits of sines and matrix products depend on the processor."""
+BLOCK_STEPS = 1_000  # of the cameras' poses at a time: the poses of all vessels are worked out with them
+_DECIMALS = 6  # of every number that is no count: the last bits of sines and matrix products depend on the processor
 
 
 def coverage_type(name: str) -> pa.DataType:
@@ -148,7 +144,6 @@ def _roll_rad(poses: CameraPoses) -> float:
 
 
 def _sights(rows: RunRows, visible: Mask, poses: tuple[CameraPoses, ...]) -> dict[str, int | float]:
-    """Ranges and sizes of visible vessels, their classes, and how many there are at once."""
     scene, cameras = rows.scene, len(rows.scene.cameras)
     step, camera = np.divmod(rows.truth_frame[visible], cameras)
     vessel = rows.truth_vessel[visible]

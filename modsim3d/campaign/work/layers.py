@@ -39,8 +39,7 @@ from modsim3d.truth.record import Truth
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-DETECTED = "detected"
-"""The only column of a run's truth that depends on the detector; a table of its own in the layer of detections."""
+DETECTED = "detected"  # the only column of a run's truth that depends on the detector; in the layer of detections
 TRUTH = {"truth": tables.TRUTH.remove(tables.TRUTH.get_field_index(DETECTED))}
 DETECTIONS = {
     "frames": tables.FRAMES,
@@ -48,8 +47,7 @@ DETECTIONS = {
     DETECTED: pa.schema([tables.TRUTH.field(DETECTED)]),
 }
 TRACKS = {"tracks": SCHEMA}
-Blocks = Sequence[tuple[Truth, int, int]]
-"""The truth of some steps, the first of them, and the step after the last."""
+Blocks = Sequence[tuple[Truth, int, int]]  # the truth of some steps, the first of them, and the step after the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +122,7 @@ def tracks_of_table(table: pa.Table, scene: Scene) -> Tracks:
     )
 
 
-# ---- Layers of runs on the disk ----
-
-CACHE_FOLDER = "cache"
-"""In the folder of a campaign, unless another one is named."""
+CACHE_FOLDER = "cache"  # in the folder of a campaign, unless another one is named
 _KEY = b"modsim3d_layer"
 
 
@@ -299,7 +294,6 @@ class RunLayers:
         return tracks
 
     def _keep(self, tracks: Tracks | WorldTracks, scene: Scene, key: str) -> None:
-        """Write tracks in the images on the disk, if they are to be kept."""
         if self._stored.keeps("tracks") and isinstance(tracks, Tracks):
             self._stored.write("tracks", key, {"tracks": track_table(tracks, scene)})
 

@@ -29,15 +29,11 @@ from modsim3d.tracking.world.following import WorldTruth, follow_in_world
 from modsim3d.tracking.world.scoring import score_world
 from modsim3d.tracks.tracks import Similarity, WorldTracks
 
-APPROACHES = "approaches"
-"""Column of the approaches of vessels as JSON, in campaigns that have a lookout requirement."""
+APPROACHES = "approaches"  # column of the approaches of vessels as JSON, in campaigns that have a lookout requirement
 DONE, CRASHED = "done", "crashed"
-REPEATS = "repeats"
-"""Column that says whether the output of a program was the same again."""
-SAID = "standard_error"
-"""Column of the last lines that a program wrote, which may be others each time."""
-KEY_LENGTH = 16
-"""Hexadecimal digits of a layer's checksum in a table."""
+REPEATS = "repeats"  # column that says whether the output of a program was the same again
+SAID = "standard_error"  # column of the last lines that a program wrote, which may be others each time
+KEY_LENGTH = 16  # hexadecimal digits of a layer's checksum in a table
 FACTS: dict[str, pa.DataType] = {
     "run": pa.int64(),
     "status": pa.string(),
@@ -61,8 +57,7 @@ def _score_types() -> dict[str, pa.DataType]:
     return {name: pa.int64() if hint is int else pa.float64() for name, hint in numbers.items()}
 
 
-SCORES = _score_types()
-"""The scores of a whole run, with their types."""
+SCORES = _score_types()  # the scores of a whole run, with their types
 _WHOLE = {"frames", "vessel_frames"}
 _BIN_KEYS = (
     ("vessel_frames", "vessel_frames"),
@@ -190,8 +185,7 @@ def table_of(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
 
 # ---- What each score can be by its definition ----
 
-Columns = Callable[[str], Array]
-"""Gives the column of a name, NaN where a row has nothing there."""
+Columns = Callable[[str], Array]  # gives the column of a name, NaN where a row has nothing there
 RECALL, SURVIVED = "recall", "occlusions_survived"
 SCORES_BY = dict.fromkeys(GROUPS, (RECALL,)) | {
     **dict.fromkeys((STATE, CAMERA), tuple(name for name in SUBSET_KEYS if "frames" not in name)),
@@ -353,10 +347,7 @@ def is_bounded(score: str, keys: ScoreKeys) -> bool:
     return all(math.isfinite(bound) for bound in score_bounds(score, keys))
 
 
-# ---- Checks the search of a campaign before its first trial ----
-
-MAX_CHOSEN_SEEDS = 1_000
-"""Each seed is a category of the estimator, whose time grows with their number."""
+MAX_CHOSEN_SEEDS = 1_000  # each seed is a category of the estimator, whose time grows with their number
 NOT_SEARCHED = ("seed", "detector_seed", "steps", "scene", "tracker")
 
 

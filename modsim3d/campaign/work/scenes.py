@@ -104,8 +104,6 @@ def _name(path: Path, base: Path) -> str:
     return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.as_posix()
 
 
-# ---- The latest things that were made, kept in memory ----
-
 T = TypeVar("T")
 
 

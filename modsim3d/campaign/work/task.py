@@ -25,12 +25,9 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.io.validation import shown
 
-PLAN = "plan.json"
-"""In the folder of a campaign: its plan."""
-DONE_FOLDER = "done"
-"""In the folder of a campaign that is not finished: the rows that are done, a file for each task."""
-ROWS_PATTERN = "[0-9]*.rows"
-"""The names of these files."""
+PLAN = "plan.json"  # in the folder of a campaign: its plan
+DONE_FOLDER = "done"  # in the folder of a campaign that is not finished: the rows that are done, a file for each task
+ROWS_PATTERN = "[0-9]*.rows"  # the names of these files
 _REPORT = b"modsim3d"
 _CHECKSUM_BYTES = hashlib.sha256().digest_size
 
@@ -194,8 +191,6 @@ def stored_report(path: Path) -> TaskReport | None:
     table = read_rows(path)
     return None if table is None else TaskReport(**orjson.loads(table.schema.metadata[_REPORT]))
 
-
-# ---- What a scene, a detector or a tracker refuses ----
 
 _OPTIONS = {"state": "--state", "from": "--from", "detector": "--detector"}
 """Keys of a condition that messages of scenes call by the option of a command."""

@@ -9,11 +9,9 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.tracking.scores.scored import Scored, frame_lengths_s
 
-WINDOW_S = 5.0
-"""As long as a look at what happens in a film."""
+WINDOW_S = 5.0  # as long as a look at what happens in a film
 LOST, FALSE, SWITCHED = range(3)
-_DECIMALS = 6
-"""Of sums of seconds that are compared: below that they differ by rounding only."""
+_DECIMALS = 6  # of sums of seconds that are compared: below that they differ by rounding only
 
 
 @dataclass(frozen=True, eq=False)

@@ -330,8 +330,6 @@ def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
     return by_file, by_stem
 
 
-# ---- Confidences as files have them ----
-
 NOT_GIVEN = -1  # stands for a confidence that is not given, as MOT has it
 Scale = tuple[float, float]
 _PERCENT, _MANY = 100, 8
@@ -400,7 +398,6 @@ class Confidences:
 
 
 def _hint(least: float, most: float, name: str) -> str:
-    """Advice on values from least to most that are not from 0 to 1."""
     low, high = math.floor(least * 100) / 100, math.ceil(most * 100) / 100
     if least >= 0 and 10 < most <= _PERCENT:
         low, high = 0, _PERCENT

@@ -52,10 +52,11 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
             raise InputError(files[0], [f"{problem.told}, or {files[1]} is wrong, the other way round"])
         note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
         labelled = replace(labelled, notes=(*labelled.notes, note))
-    given = (
-        option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name) != getattr(NO_OPTIONS, name)
-    )
-    unused = [f"{option} is not used: {kinds[0]} does not need it" for option in given]
+    unused = [
+        f"{option} is not used: {kinds[0]} does not need it"
+        for option, name in _UNUSED[kinds[0]].items()
+        if getattr(options, name) != getattr(NO_OPTIONS, name)
+    ]
     labelled = replace(labelled, notes=(*labelled.notes, *unused, *_left_out(labelled, condition, kinds[0])))
     return with_horizon(labelled, options.horizon)
 
@@ -133,7 +134,6 @@ def compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, Kn
 
 
 def _box_rows(images: Images, image: Indices, boxes_px: Array, form: BoxForm) -> BoxRows:
-    """Boxes in the form of their file, with the images before and after theirs."""
     beside = (np.clip(image + step, 0, len(images) - 1) for step in (-1, 1))
     near = (np.where((to != image) & (images.sequence[to] == images.sequence[image]), to, NOBODY) for to in beside)
     return BoxRows(form.numbers_of(boxes_px), form, images.sizes_px[image], image, *near)
@@ -169,8 +169,6 @@ def _first_line(path: Path) -> str:
     texts = (read_text(file, "labels") for file in sequence_files(path))
     return next((line for text in texts for line in text.splitlines() if line.strip()), "")
 
-
-# ---- Folders with a file of each sequence, as KITTI's: one labelled set of all of them ----
 
 Reader = Callable[[str, Path, Path | None, ReadOptions], LabelledSet]
 

@@ -19,7 +19,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading import builder
 from modsim3d.formats.reading.builder import NO_OPTIONS, Confidences, ImageRows, LabelledRow, Problems, ReadOptions
-from modsim3d.formats.reading.mot import number_lines
+from modsim3d.formats.reading.mot import number_lines, problems_of
 from modsim3d.io.input_files import MAX_IMAGE_BYTES, composed, note_input, read_text
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import shown
@@ -87,8 +87,7 @@ def read_yolo(condition: str, truth: Path, detections: Path | None, options: Rea
     for stem, frame in zip(stems, _frame_numbers(stems), strict=True):
         size_px = options.image_size_px or image_size_px(files[stem])
         images.add(stem, size_px, time_s=math.nan if rate_hz is None else frame / rate_hz)
-    problems = Problems(f"ground truth {truth}", options.skip_bad)
-    wrong = Problems(f"detections {detections}", options.skip_bad)
+    problems, wrong = problems_of(truth, detections, options)
     annotations = _annotations(_files(folder), images, problems)
     results, remarks = _results(predicted, images, options.confidence_scale, wrong)
     notes = problems.settle() + wrong.settle() + remarks
@@ -120,10 +119,8 @@ def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> bu
     for image, where, numbers in _lines(paths, images, "labels", problems):
         track = numbers[-1] if len(numbers) > 5 else None
         if len(numbers) > 7 or (track is not None and not (0 <= track <= _MAX_TRACK and track == int(track))):
-            wanted = (
-                "must have 5: class, x, y, width, height, and then perhaps a confidence and a track, a whole number"
-            )
-            problems.add(f"{where}: has {len(numbers)} numbers, {wanted} (got {shown(numbers)})")
+            said = "must have 5: class, x, y, width, height, and then perhaps a confidence and a track, a whole number"
+            problems.add(f"{where}: has {len(numbers)} numbers, {said} (got {shown(numbers)})")
         elif track is not None and rows.has(image, int(track)):
             problems.add(f"{where}: track {track:g} is in the image already")
         elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:

@@ -58,8 +58,6 @@ def _rows(starts: np.ndarray) -> Iterator[slice]:
     return map(slice, starts[:-1].tolist(), starts[1:].tolist())
 
 
-# ---- The ROS 2 messages of a bag ----
-
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 IMU = "sensor_msgs/msg/Imu"

@@ -129,8 +129,6 @@ def join_lines(lines: Path, out: IO[bytes]) -> None:
         out.write(b"\n}\n")
 
 
-# ---- Kept columns of an interrupted run, and whether they can be the truth of a block ----
-
 _INTEGERS = ("step", "camera", "vessel", "occluder_offsets", "occluder", "intersections")
 _OF_OCCLUDERS = ("occluder", "occluder_px")
 _EMPTY = {name: getattr(no_truth(), name) for name in COLUMNS}

@@ -221,8 +221,6 @@ def check_content(path: Path, sha256: str, source: str) -> None:
         raise RunDirectoryError(f"{path} was changed after the run: its checksum is {found}, {source} has {sha256}")
 
 
-# ---- JSON text of many rows at once ----
-
 Column = bytes | Sequence[bytes] | Array
 """A text that is the same in all n rows; one for each row; or numbers of shape (n,), or (n, k) with commas between."""
 ROWS_AT_ONCE = 1024  # whose texts are made together: those of many more take fresh memory, which costs more time

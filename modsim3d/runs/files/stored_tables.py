@@ -98,8 +98,6 @@ def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     return found
 
 
-# ---- Former tables of detections ----
-
 _CENTRE_FORM = dict(zip(table_columns.CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
 BEFORE_IOU = pa.schema([field for field in tables.DETECTIONS if field.name != "iou"])
 FORMAT_1_DETECTIONS = pa.schema(

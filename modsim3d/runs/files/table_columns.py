@@ -146,8 +146,6 @@ def schema_of(table: str) -> pa.Schema:
     return pa.schema([column.field for column in COLUMNS[table]])
 
 
-# ---- The table of the motion of the vessels that carry cameras ----
-
 MEASURED_ATTITUDE = ("measured_roll_rad", "measured_pitch_rad", "measured_heading_rad")
 _COLUMNS = {  # attribute of `OwnShips` → names of the columns of its components
     "positions_m": ("w1_m", "w2_m", "w3_m"),

@@ -138,8 +138,6 @@ class Pace:
             self.late_s, self.latest = -left, step
 
 
-# ---- Python's search for garbage in cycles ----
-
 _COLLECT_AFTER = 700  # new objects: looking through so few takes a tenth of a millisecond
 
 
@@ -155,8 +153,6 @@ def short_collections() -> Iterator[None]:
         gc.set_threshold(*threshold)
         gc.unfreeze()
 
-
-# ---- Where a stream goes ----
 
 STANDARD_OUTPUT = "-"
 _TCP = re.compile(r"tcp://(?:\[(?P<six>[^\[\]/]+)\]|(?P<four>[^\[\]/:]+)):(?P<port>[0-9]{1,5})")

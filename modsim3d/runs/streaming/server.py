@@ -57,8 +57,6 @@ class Backlog:
         return b"".join(taken), number
 
 
-# ---- One reader of a stream over TCP ----
-
 SEND_BYTES = 1 << 16  # handed to the system at once, and about what it keeps: the rest waits in the backlog
 
 DROP_BYTES, DROP_S = 1 << 16, 0.05  # what a reader has sent is dropped in such pieces, so often, to spare the processor

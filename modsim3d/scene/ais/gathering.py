@@ -16,8 +16,7 @@ from modsim3d.scene.ais.read_csv import Layout, read_csv, recognise, source_of
 from modsim3d.scene.ais.read_nmea import read_nmea
 
 NMEA = "NMEA sentences"
-BAD_SHARE, FEW_BAD = 0.1, 2
-"""A file is refused if more than this share of its messages, and more than this number, cannot be read."""
+BAD_SHARE, FEW_BAD = 0.1, 2  # a file with more than this share, and this number, of unreadable messages is refused
 BAD = ("unreadable", "checksum", "undecodable")
 SHOWN_PROBLEMS = 20
 

@@ -50,10 +50,8 @@ def group_of(text: str) -> str:
     return next((group for group, kind in ship_types().items() if plain in kind.spellings), UNKNOWN)
 
 
-MAX_LENGTH_M, MAX_BEAM_M = 460.0, 125.0
-"""No ship was longer than Seawise Giant, 458 m, or wider than Pioneering Spirit, 124 m."""
-MIN_M = 0.1
-"""Tables give dimensions in metres, or in tenths of them; no length or beam below is believed."""
+MAX_LENGTH_M, MAX_BEAM_M = 460.0, 125.0  # longest was Seawise Giant, 458 m, widest Pioneering Spirit, 124 m
+MIN_M = 0.1  # tables give dimensions in metres, or in tenths of them; no length or beam below is believed
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,7 @@ class Chunk:
 
 # ---- Places on the Earth ----
 
-SEA_LEVEL_STEPS = 4
-"""Each step takes the height above the ellipsoid off the height above the tangent plane."""
+SEA_LEVEL_STEPS = 4  # each step takes the height above the ellipsoid off the height above the tangent plane
 
 
 def wrapped_deg(angle_deg: ArrayLike) -> Array:
@@ -122,13 +121,9 @@ def median_place(latitude_deg: Array, longitude_deg: Array) -> tuple[float, floa
     return float(np.median(latitude_deg)), float(longitude)
 
 
-# ---- Drops reported positions that are of no use ----
-
 NO_LATITUDE, NO_LONGITUDE = 91.0, 181.0
-LOOKED_BACK_PIECES = 1000
-"""For the piece before, so that the time grows with the number of pieces, not with its square."""
-SLACK_S = 1.0
-"""Most files round times to seconds, so two reports may be up to a second further apart than their times."""
+LOOKED_BACK_PIECES = 1000  # for the piece before, so that the time grows with the number of pieces, not with its square
+SLACK_S = 1.0  # most files round times to seconds, so two reports may be up to a second further apart than their times
 LISTED_ROWS = 5
 
 

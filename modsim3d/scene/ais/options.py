@@ -12,8 +12,7 @@ from modsim3d.scene.ais.hulls import ship_types
 from modsim3d.scene.ais.messages import SeaRegion
 
 COMMAND_LINE = "command line"
-MIN_VALUE, MAX_VALUE = 1e-6, 1e9
-"""Of every time and speed: a microsecond, and 30 years."""
+MIN_VALUE, MAX_VALUE = 1e-6, 1e9  # of every time and speed: a microsecond, and 30 years
 
 
 @dataclass(frozen=True)

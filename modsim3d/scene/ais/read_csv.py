@@ -26,8 +26,7 @@ from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
 TABLE = Path(__file__).with_name("layouts.yaml")
 NEEDED = ("time", "mmsi", "latitude", "longitude")
-MIN_NAMES = 3
-"""A header with fewer known names is of some other kind of file."""
+MIN_NAMES = 3  # a header with fewer known names is of some other kind of file
 
 
 @dataclass(frozen=True)
@@ -73,15 +72,11 @@ def _plain_name(name: str) -> str:
     return name.strip().lstrip("# ").lower()
 
 
-# ---- Opens a file of AIS reports ----
-
 UNPACKED_BY = {b"PK\x03\x04": "unzip", b"\x28\xb5\x2f\xfd": "zstd -d"}
 SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
-LOOKED_AT_LINES = 200
-"""A log of sentences may begin with comments or sentences of other instruments."""
+LOOKED_AT_LINES = 200  # a log of sentences may begin with comments or sentences of other instruments
 LONGEST_LINE, LOOKED_AT_BYTES = 1 << 20, 1 << 22
-MAX_COLUMNS = 500
-"""A header with more names is no table of AIS, which have up to thirty; each costs memory in every row."""
+MAX_COLUMNS = 500  # a header with more names is no table of AIS, which have up to thirty; each costs memory in all rows
 SHOWN_COLUMNS = 40
 
 
@@ -150,8 +145,7 @@ def header_names(line: bytes) -> list[str]:
 
 
 BLOCK_BYTES = 1 << 24
-SHOWN_PROBLEMS = 5
-"""Problems listed of each block, so that a mistake in every row does not fill the screen."""
+SHOWN_PROBLEMS = 5  # problems listed of each block, so that a mistake in every row does not fill the screen
 EXAMPLE = datetime(2024, 12, 31, 23, 59, 59)
 NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
@@ -159,10 +153,8 @@ SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
 MAX_CHARACTERS = 120
 """Of a name or a ship type, which have 20 in the messages. All are stored as wide as the widest, so the rest is cut."""
-FIRST_S, LAST_S = 631_152_000.0, 4_102_444_800.0
-"""Reports are from 1990 to 2099; others have a wrong clock."""
-NOT_SAID = "Unknown"
-"""Text in Danish files where no name was received."""
+FIRST_S, LAST_S = 631_152_000.0, 4_102_444_800.0  # reports are from 1990 to 2099; others have a wrong clock
+NOT_SAID = "Unknown"  # text in Danish files where no name was received
 
 
 def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:

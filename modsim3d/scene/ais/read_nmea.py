@@ -90,8 +90,7 @@ SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
 START = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 OTHER_SENTENCE = re.compile(r"[\\!$]")
 POSITIONS, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3, 18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
-PENDING_S = 60.0
-"""Parts of a message that are further apart do not belong together: their sequence numbers, 0 to 9, are used again."""
+PENDING_S = 60.0  # parts of a message that are further apart do not belong together: sequence numbers are used again
 CHUNK_MESSAGES, SHOWN_PROBLEMS = 200_000, 5
 LONGEST_LINE, READ_AT_ONCE = 2048, 1 << 20
 """A sentence has at most 82 characters and a tag block 80; a line of JSON around them takes a thousand. The time

@@ -199,8 +199,6 @@ def _flatness(distance_m: float) -> str:
     return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
 
 
-# ---- When each vessel has reported ----
-
 REPORT_TIMES = "report_times.json.gz"
 _DECIMALS = 3
 
@@ -221,8 +219,7 @@ def report_times(traffic: AisTraffic) -> bytes:
 
 SCENE, REPORT, PAGE = "scene.yaml", "report.json", "ais.html"
 FILES = (SCENE, REPORT, PAGE, "vessels.json", "detector.yaml", "poses.json.gz", REPORT_TIMES)
-CAMERA_HALF_ANGLE_RAD = math.atan(960 * 5e-6 / 0.007)
-"""Half the angle that the scene's camera sees from left to right."""
+CAMERA_HALF_ANGLE_RAD = math.atan(960 * 5e-6 / 0.007)  # half the angle that the scene's camera sees from left to right
 SCENE_TEXT = """\
 # Traffic from AIS: {vessels} vessels from {start}, one step every {time_step:g} s; made by `modsim3d ais`.
 # w1 points east, w2 north of the origin. report.json says what was left out

@@ -24,8 +24,7 @@ HEIGHT_M = 20.0
 MIN_DISTANCE_M, MAX_DISTANCE_M = 300.0, 2500.0
 CLEARANCE_M = 50.0
 TRIES = 12
-MAX_POSES_LOOKED_AT = 200_000
-"""Of more poses than this, evenly spaced ones are used to find the busiest water."""
+MAX_POSES_LOOKED_AT = 200_000  # of more poses than this, evenly spaced ones are used to find the busiest water
 
 
 @dataclass(frozen=True)
@@ -98,15 +97,11 @@ def _busiest(places_m: Array, vessels: Indices) -> Array:
     return np.asarray(places_m[cell == best].mean(axis=0))
 
 
-MAX_POSES = 3_000_000
-"""About 250 MB of JSON, which takes minutes and gigabytes to read again."""
+MAX_POSES = 3_000_000  # about 250 MB of JSON, which takes minutes and gigabytes to read again
 EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
-FEW_MOVES = 50
-"""So many moves are judged together."""
-DAY_S, SLOWEST = 86_400.0, 0.05
-"""Positions move at more than this share of the speeds that vessels report."""
-UNDER_WAY_KN, WRONG_COURSES, RIGHT_COURSES = 2.0, 0.8, 0.95
-"""Cosines between courses and movements."""
+FEW_MOVES = 50  # so many moves are judged together
+DAY_S, SLOWEST = 86_400.0, 0.05  # positions move at more than this share of the speeds that vessels report
+UNDER_WAY_KN, WRONG_COURSES, RIGHT_COURSES = 2.0, 0.8, 0.95  # cosines between courses and movements
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +181,6 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
 
 
 def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:
-    """Reason why positions were dropped, of each sender that is not among those kept."""
     reasons: dict[int, dict[str, int]] = {}
     for (mmsi, reason), count in sorted(senders.items()):
         if mmsi not in kept:
@@ -197,7 +191,6 @@ def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, di
 def _tracks(
     positions: Positions, origin: tuple[float, float], every_hull: dict[int, AisHull], grid: TimeGrid, options: Options
 ) -> Iterator[VesselTrack]:
-    """The track of each vessel, from positions that are ordered by vessel and time."""
     places = local_metres(positions.latitude_deg, positions.longitude_deg, origin)
     bounds = [0, *(np.flatnonzero(np.diff(positions.mmsi)) + 1).tolist(), len(positions)]
     for first, stop in pairwise(bounds):

@@ -87,8 +87,7 @@ def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_por
 
 # ---- Fills in the headings that reports leave open ----
 
-MOVING_KN, MOVING_M = 0.5, 10.0
-"""At lower speeds the course of a receiver is mostly noise, and so is the bearing over shorter distances."""
+MOVING_KN, MOVING_M = 0.5, 10.0  # a receiver's course at lower speeds, and the bearing over less, are mostly noise
 
 
 class HeadingSource(IntEnum):
@@ -151,8 +150,6 @@ def heading_rad(compass_deg: Array) -> Array:
     """Headings counter-clockwise from w1 (east), from compass headings clockwise from north, shape (n,)."""
     return np.pi / 2 - np.deg2rad(compass_deg)
 
-
-# ---- The steps of a scene ----
 
 MAX_STEPS = 1_000_000
 

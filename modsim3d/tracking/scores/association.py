@@ -74,7 +74,6 @@ def _similarities(
 
 
 def _cut(column: Any, first: Indices, count: Indices) -> list[Any]:
-    """The parts of a column with the given first rows and numbers of rows."""
     return [column[a : a + n] for a, n in zip(first.tolist(), count.tolist(), strict=True)]
 
 

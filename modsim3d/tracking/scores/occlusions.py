@@ -14,8 +14,7 @@ OCCLUDED_BELOW = 0.5  # a vessel is occluded while less than this share of its s
 BEFORE_S = 1.0  # the track before is the last that followed the vessel within this time before its occlusion
 LENGTH_EDGES_S = (1, 3, 10)  # between these, occlusions are told apart by length
 AFTER_S = 2.0  # the track after is the first that follows the vessel within this time after its occlusion
-_TIME_DECIMALS = 6
-"""Differences of times are rounded to so many decimals before they are compared: seconds since 1970 have no more."""
+_TIME_DECIMALS = 6  # of differences of times that are compared: seconds since 1970 have no more
 
 
 @dataclass(frozen=True)

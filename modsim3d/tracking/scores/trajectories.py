@@ -12,8 +12,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.tracking.scores.errors import ospa_frame
 
-_DECIMALS = 6
-"""Of a weight of an assignment: HiGHS is exact to 1e-7, and nearly all are 0 or 1."""
+_DECIMALS = 6  # of a weight of an assignment: HiGHS is exact to 1e-7, and nearly all are 0 or 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,7 @@ from modsim3d.tracking.trackers.world_interface import AisReport, Navigation, Wo
 
 PROTOCOL = 1
 DEFAULT_TIMEOUT_S = 30.0
-CHECKSUM = "sha256 "
-"""Before the checksum of a file, among the versions of what decides tracks."""
+CHECKSUM = "sha256 "  # before the checksum of a file, among the versions of what decides tracks
 UNITS = {"length": "m", "angle": "rad", "time": "s", "box": "px"}
 
 
@@ -76,8 +75,6 @@ def argument_files(command: Sequence[str], folder: Path) -> list[str]:
     names = dict.fromkeys(each.rpartition("=")[2] for each in command[1:])
     return [name for name in names if os.path.isfile(folder / name)]  # noqa: PTH113 (which raises for what is too long)
 
-
-# ---- What a program answers ----
 
 TrackNumber = Annotated[int, Field(strict=True, ge=-(2**63), lt=2**63)]
 Two = tuple[Number, Number]

@@ -106,8 +106,7 @@ def answers_of(
 
 
 _BUFFER_RATE_HZ = 30  # the library counts `lost_track_buffer` in frames of this rate, whatever the camera's
-_MIN_PERIODS_KEPT = 1.5
-"""The library drops what is lost for too long before it matches: tracks must outlive the time between two frames."""
+_MIN_PERIODS_KEPT = 1.5  # the library drops lost tracks before it matches: they must outlive the time between frames
 
 FrameCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
 Overlap = Annotated[float, Field(strict=True, ge=-1, le=1)]

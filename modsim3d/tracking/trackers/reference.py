@@ -135,7 +135,6 @@ class ReferenceTracker(Tracker):
         return _Known(known.motion.with_rows(track, better), known.number, hits, misses, seen_s, votes, confidence)
 
     def _alive(self, known: _Known, time_s: float) -> _Known:
-        """Without the tracks that were lost, or not confirmed in time."""
         unconfirmed = (known.hits < self.confirm_hits) & (known.misses > 1)
         alive = (time_s - known.seen_s <= self.lost_s + _TIME_S) & ~unconfirmed
         return known if alive.all() else known.take(alive)

@@ -131,7 +131,6 @@ def _refuse_first(
 
 
 def _columns(answer: TrackedFrame, refuse: Refuse) -> tuple[Any, ...]:
-    """Columns of an answer, of the right types and shapes."""
     if not isinstance(answer, TrackedFrame):
         raise refuse(f"the answer to a frame is a modsim3d.TrackedFrame, not {type(answer).__name__}")
     track = _track_numbers(answer, refuse)

@@ -18,8 +18,7 @@ from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.tracks.true_tracks import best_pairs
 from modsim3d.world.encounters import hull_tracks
 
-_SAME = 1e-5
-"""Shares of a step that are rounding errors of a time: of seconds since 1970 in steps of 0.1 s they are up to 5e-6."""
+_SAME = 1e-5  # of a step, are rounding errors of a time: of seconds since 1970 in steps of 0.1 s they are up to 5e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +100,7 @@ def seen(rows: RunRows) -> Mask:
     return np.not_equal(in_last_frames(rows, rows.truth_frame[visible], rows.truth_vessel[visible], 0), NOBODY)
 
 
-_LEAST = 0.5
-"""Similarity at the gate, which is 1 for two equal places: then two pairs are better than one, wherever they can be."""
+_LEAST = 0.5  # similarity at the gate, 1 for two equal places: then two pairs are better than one, wherever they can be
 
 
 @dataclass(frozen=True, eq=False)

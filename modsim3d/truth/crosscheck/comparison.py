@@ -104,8 +104,7 @@ def _slope(edges: Array, depth: Array, doubled: Array) -> Array:
     return np.stack([right, down], axis=-1) / doubled[:, None]
 
 
-NOT_ROUNDED_PX = 1e-6
-"""Sides of boxes are whole buffer pixels; this is what dividing by the supersampling and multiplying again leaves."""
+NOT_ROUNDED_PX = 1e-6  # sides are whole buffer pixels; this is what dividing by supersampling and multiplying leaves
 
 
 @dataclass(frozen=True)

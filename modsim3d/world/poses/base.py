@@ -134,8 +134,6 @@ def generated_timestamps(steps: int, time_step_s: float, first: int = 0) -> tupl
     return tuple(f"{whole}.{decimals.rstrip('0') or '0'}" for whole, _, decimals in parts)
 
 
-# ---- The simplest way to write a pose source ----
-
 Place = tuple[Sequence[float], float]  # centre of the bottom plane in WCF, three metres, and the heading in radians
 
 
@@ -181,8 +179,6 @@ class TimedPoses:
         return poses
 
 
-# ---- Texts of the times of a long scene ----
-
 TOGETHER = 1024  # steps whose texts are worked out together
 
 
@@ -219,8 +215,6 @@ class LongTimes(Sequence[str]):
 def _texts(time_step_s: float, number: int) -> tuple[str, ...]:
     return generated_timestamps((number + 1) * TOGETHER, time_step_s, first=number * TOGETHER)
 
-
-# ---- Vessels along waypoints, at constant speed between two of them ----
 
 Waypoint = tuple[Number, Metres, Metres]  # time in seconds, w1 and w2 in metres
 

@@ -209,8 +209,6 @@ def _finite(value: Any) -> bool:
         return False
 
 
-# ---- Poses that arrive while a scene runs, one step at a time ----
-
 Step = tuple[str, Poses]  # text of a step's time, and the poses of that one step
 
 
@@ -265,8 +263,6 @@ class LivePoses:
         rows = self._rows[first:stop]
         return Poses(rows[..., 0] > 0, rows[..., 1:4].copy(), rows[..., 4].copy())
 
-
-# ---- Poses as JSON Lines from standard input or from a file that is still being written ----
 
 STANDARD_INPUT = "-"
 TIMEOUT_S = 10.0

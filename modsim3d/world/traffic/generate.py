@@ -77,7 +77,6 @@ def _draw_craft(chart: Chart, name: str, area: LeisureKeys, ordinal: int) -> Tra
 
 
 def _course(chart: Chart, hull: DrawnHull, wanderer: Wanderer) -> VesselPath | None:
-    """A way through the water that is long enough for the drive."""
     needed = wanderer.speed_m_s * (chart.waters.end_s + HEAD_STARTS_S[-1] + 2 * chart.waters.interval_s)
     if chart.keys.kinds[hull.kind].near_shore:
         off = hull.reach_m + chart.keys.clearance_m + between(SHORE_M, float(wanderer.rng.random()))
@@ -99,8 +98,6 @@ def _is_clear(chart: Chart, hull: DrawnHull, speed_m_s: float, leg: Array, gone_
     track = Track(hull, VesselPath.through(leg), speed_m_s, gone_m / speed_m_s)
     return chart.waters.is_clear(track, track.start_s, track.end_s)
 
-
-# ---- The vessels of the scene file on their routes ----
 
 EASY = 1.5  # radii of turns in least radii, where the legs leave room
 
@@ -143,8 +140,6 @@ def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
             problems.append(f"own.{name}: comes closer to '{other}' than {least} at {waters.times_s[step[0]]:.0f} s")
     return problems
 
-
-# ---- The plan of a whole drive ----
 
 WHERE = "poses.traffic"
 MAX_VESSELS = 1000

@@ -135,8 +135,6 @@ def _running_mean(places: Array, half: int) -> Array:
     return mean
 
 
-# ---- Courses of leisure craft through open water ----
-
 PLACES, COURSES, STEPS_BACK = 60, 14, 30
 LEG_RADII, LEG_S = (6.0, 14.0), (45.0, 180.0)  # length of a leg in turning radii and in seconds; the longer one counts
 TURN_RAD, SHARPEST_TURN_RAD = (0.25, 1.2), 2.3

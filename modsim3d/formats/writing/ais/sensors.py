@@ -26,8 +26,7 @@ MIN_LENGTH_M = 5.0  # shorter craft carry no AIS unless the scene says so
 MADE_UP_MMSI = 799_000_000  # 799 is nobody's: country codes go from 201 to 775 (ITU, maritime identification digits)
 MADE_UP_NUMBERS = 1_000_000
 _MMSI = re.compile(r"[2-7]\d{8}|98\d{7}", re.ASCII)
-MAX_ENDS_M, MAX_SIDES_M = 511, 63
-"""The largest distances from the antenna to an end and to a side that fit a message; they mean this or more."""
+MAX_ENDS_M, MAX_SIDES_M = 511, 63  # largest distances from antenna to end and side in a message; they mean this or more
 NO_CLASS = "none"
 
 
@@ -115,8 +114,6 @@ def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
     ends = min(length - stern, MAX_ENDS_M), min(stern, MAX_ENDS_M)
     return *ends, min(beam - beam // 2, MAX_SIDES_M), min(beam // 2, MAX_SIDES_M)
 
-
-# ---- The tracks of vessels' antennas at whole seconds ----
 
 BLOCK_STEPS = 1000  # whose poses are in memory together
 NEAR_S = 1e-6
