@@ -25,7 +25,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
-from modsim3d.truth.silhouettes import Spans, doubled_areas
+from modsim3d.truth.silhouettes import Spans
 from modsim3d.world.vessels import Solid, once_a_solid
 
 HALF = SUBPIXELS // 2
