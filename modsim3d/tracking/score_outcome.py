@@ -128,10 +128,7 @@ def _tracker(each: TrackScores) -> dict[str, Any]:
     return {
         "name": each.name,
         "tracks": each.path,
-        "tracker": origin and origin.tracker,
-        "settings": origin and origin.settings,
-        "chosen": origin and origin.chosen,
-        "package": origin and origin.package,
+        **{key: origin and getattr(origin, key) for key in ("tracker", "settings", "chosen", "package")},
         **each.scores.as_json(),
     }
 

@@ -69,19 +69,11 @@ def _detections(scene: Scene, sequence: CameraSequence, attitude: Attitude) -> C
     found, labels = sequence.detections, np.array(scene.detector.labels, dtype=object)
     steps = sequence.steps[found.frame]
     place = locate(scene, sequence.camera.name, steps, found.boxes_px, attitude)
-    covariances = place.position_covariances_m2
-    located = {
-        "bearing_rad": place.bearing_rad,
-        "bearing_std_rad": place.bearing_std_rad,
-        "inverse_range_per_m": place.inverse_range_per_m,
-        "inverse_range_std_per_m": place.inverse_range_std_per_m,
-        "covariance_rad_per_m": place.covariance_rad_per_m,
-        "w1_m": place.positions_m[:, 0],
-        "w2_m": place.positions_m[:, 1],
-        "w1_variance_m2": covariances[:, 0, 0],
-        "w1_w2_covariance_m2": covariances[:, 0, 1],
-        "w2_variance_m2": covariances[:, 1, 1],
-    }
+    names = ("bearing_rad", "bearing_std_rad", "inverse_range_per_m", "inverse_range_std_per_m", "covariance_rad_per_m")
+    located = {name: getattr(place, name) for name in names}
+    located |= zip(("w1_m", "w2_m"), place.positions_m.T, strict=True)
+    entries = place.position_covariances_m2.reshape(-1, 4)[:, [0, 1, 3]].T
+    located |= zip(("w1_variance_m2", "w1_w2_covariance_m2", "w2_variance_m2"), entries, strict=True)
     return {
         **_when(scene, steps),
         "label": pa.array(labels[found.label], pa.string()),

@@ -184,9 +184,7 @@ class WorldScores:
             "vessels": continuity.vessels,
             "established": continuity.established,
             **_mean_keys("followed_share", continuity.followed_share),
-            "id_switches": continuity.id_switches,
-            "track_breaks": continuity.track_breaks,
-            "false_tracks": continuity.false_tracks,
+            **{name: getattr(continuity, name) for name in ("id_switches", "track_breaks", "false_tracks")},
             "false_track_s": continuity.false_track_s,
             **self._encounter_keys(),
             **self.approaches.flat(),
@@ -194,20 +192,12 @@ class WorldScores:
 
     def _encounter_keys(self) -> Mapping[str, float | int | None]:
         met = [each for each in self.encounters if each.expected]
-        distance, left = (
-            quartiles([getattr(each, name) if each.in_time else None for each in met])
-            for name in ("established_m", "time_left_s")
-        )
-        return {
-            "encounters": len(met),
-            "encounters_established": sum(each.in_time for each in met),
-            "established_m": distance.median,
-            "established_m_lower": distance.lower,
-            "established_m_upper": distance.upper,
-            "time_left_s": left.median,
-            "time_left_s_lower": left.lower,
-            "time_left_s_upper": left.upper,
-        }
+        keys: dict[str, float | int | None] = {"encounters": len(met)}
+        keys["encounters_established"] = sum(each.in_time for each in met)
+        for name in ("established_m", "time_left_s"):
+            found = quartiles([getattr(each, name) if each.in_time else None for each in met])
+            keys |= {name: found.median, f"{name}_lower": found.lower, f"{name}_upper": found.upper}
+        return keys
 
 
 def score_world(
