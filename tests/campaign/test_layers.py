@@ -43,7 +43,9 @@ def cache(kept: CampaignResult, tmp_path: Path) -> Path:
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often each layer is made."""
-    return count_calls(monkeypatch, layers, {"truth_block": "truth", "detected": "detections", "run_tracker": "tracks"})
+    return count_calls(
+        monkeypatch, layers, {"truth_block": "truth", "detected_tables": "detections", "run_tracker": "tracks"}
+    )
 
 
 def test_a_second_campaign_makes_tracks_only(kept, cache, made, tmp_path):

@@ -27,7 +27,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """The rows of a campaign, and how often each layer was made for them."""
     with pytest.MonkeyPatch.context() as patch:
         counts = count_calls(
-            patch, layers, {"truth_block": "truth", "Simulation": "detections", "run_tracker": "tracks"}
+            patch, layers, {"truth_block": "truth", "detected_tables": "detections", "run_tracker": "tracks"}
         )
         return run_campaign_file(tmp_path_factory.mktemp("rows"), **KEYS).table.to_pylist(), counts
 
