@@ -138,6 +138,11 @@ class FrameStretch:
         time_s = float(self.time_s[place])
         return f"{time_s:.1f} s" if self.start_s is None else time_text(self.start_s + time_s)
 
+    @property
+    def lasts_s(self) -> float:
+        """From the first frame to the last."""
+        return float(self.time_s[-1] - self.time_s[0])
+
 
 def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> list[FrameStretch]:
     """Stretches in which a vessel was to be detected in each frame that it was in, and was in none, longest first."""
