@@ -15,11 +15,12 @@ import orjson
 
 from modsim3d.campaign.work.scenes import versions
 from modsim3d.campaign.work.task import PLAN, Task, TaskReport, Work, Worker
-from modsim3d.campaign.workers import READY
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.operating_system import end_with_parent, inherited
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.tracking.trackers.command import CHECKSUM
+
+READY = "ready"  # what a process says when it can take tasks
 
 
 def check_worker(work: Work) -> None:
@@ -93,12 +94,17 @@ def serve(pipe: Connection) -> None:
             pipe.send(answer)
 
 
-if __name__ == "__main__":
-    end_with_parent(int(sys.argv[2]))
+def serve_until_the_end(pipe: Connection, parent: int) -> None:
+    """Serve a pipe in a process of its own, until it is closed or the parent ends."""
+    end_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback
     try:
-        serve(inherited(int(sys.argv[1])))
+        serve(pipe)
     except KeyboardInterrupt:  # no signal raises it: the run did
         os._exit(128 + signal.SIGINT)
     except OSError:  # the parent has gone
         os._exit(1)
+
+
+if __name__ == "__main__":
+    serve_until_the_end(inherited(int(sys.argv[1])), int(sys.argv[2]))

@@ -1,6 +1,6 @@
-"""A worker in a process of its own, so that a run that ends its process ends nothing else. It is a new interpreter and
-no fork: a fork is not safe where threads run, and `multiprocessing` would import the user's script again. This module
-imports little, because a Dask worker imports it only to hand tasks on."""
+"""A worker in a process of its own, so that a run that ends its process ends nothing else. It is a fork where no other
+thread runs, which has all modules at once, and else a new interpreter: `multiprocessing` would import the user's script
+again."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from signal import Signals
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
+from weakref import WeakSet
 
+from modsim3d.campaign.serving import READY, serve_until_the_end
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.operating_system import signals
+from modsim3d.io.operating_system import after_fork, may_fork, own_fork, signals
 from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
 
 STOPPING = signals("SIGTERM", "SIGINT", "SIGHUP")  # by which a batch system or a user stops all of a campaign
@@ -48,7 +51,6 @@ class Death:
 LOST = Death(None, "its Dask worker was lost", True)  # a worker that was lost with all that is known of it
 
 
-READY = "ready"  # what a process says when it can take tasks
 _END_S = 10.0  # how long an idle process may take to close its OpenGL context
 _STOP_S = 2.0  # a signal that goes to all processes reaches the main one, or the Dask worker, within this time
 
@@ -62,6 +64,17 @@ class ProcessDiedError(Exception):
         self.death = death
 
 
+_pipes = WeakSet[Connection]()  # to the workers; a fork that held them would keep other workers from seeing their end
+
+
+def _close_pipes() -> None:
+    for pipe in _pipes:
+        pipe.close()
+
+
+after_fork(_close_pipes)
+
+
 class CampaignWorker:
     """A process that does tasks one after the other, in one thread, with one OpenGL context. Nobody else holds the
     other end of its pipe, so that the pipe ends when the process does, whatever it was doing."""
@@ -71,14 +84,19 @@ class CampaignWorker:
         self.pipe, other_end = multiprocessing.Pipe()
         self._busy = self._ready = False
         self._run: int | None = None
+        self._process: subprocess.Popen[bytes] | BaseProcess
         with other_end:
-            serving = "modsim3d.campaign.serving", str(other_end.fileno()), str(os.getpid())
-            self._process = new_interpreter(other_end, "-m", *serving)
+            if may_fork():
+                self._process = own_fork(serve_until_the_end, other_end, os.getpid())
+            else:
+                serving = "modsim3d.campaign.serving", str(other_end.fileno()), str(os.getpid())
+                self._process = new_interpreter(other_end, "-m", *serving)
+        _pipes.add(self.pipe)
 
     @property
     def id(self) -> int:
         """Number of the process."""
-        return self._process.pid
+        return cast(int, self._process.pid)
 
     def hand(self, task: Task) -> None:
         """Hand it a task; ProcessDiedError if the process has ended."""
@@ -125,23 +143,29 @@ class CampaignWorker:
         self.pipe.close()
         if self._busy or not self._ready:
             self.kill()
+        if self.wait(_END_S) is None:
+            self.kill()
+            self.wait()
+
+    def wait(self, timeout_s: float | None = None) -> int | None:
+        """Exit status of the process, or minus the number of a signal; None if it does not end in time."""
+        if not isinstance(self._process, subprocess.Popen):
+            self._process.join(timeout_s)
+            return self._process.exitcode
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_S)
-        self.kill()
-        self._process.wait()
+            return self._process.wait(timeout_s)
+        return None
 
     def _died(self) -> ProcessDiedError | ModsimError:
-        try:
-            code = self._process.wait(_END_S)
-            if -code in STOPPING:  # if all are to stop, this process ends here, before the run counts as crashed
-                time.sleep(_STOP_S)
-            death = Death.of(self._run, code)
-        except subprocess.TimeoutExpired:  # it lives, and something in it closed the pipe
+        code = self.wait(_END_S)
+        if code is None:  # it lives, and something in it closed the pipe
             self.kill()
-            code = self._process.wait()
-            death = Death(self._run, "it closed the pipe", outside=False)
+            self.wait()
+            return ProcessDiedError(Death(self._run, "it closed the pipe", outside=False))
+        if -code in STOPPING:  # if all are to stop, this process ends here, before the run counts as crashed
+            time.sleep(_STOP_S)
         if self._ready:
-            return ProcessDiedError(death)
+            return ProcessDiedError(Death.of(self._run, code))
         said = f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
         return ModsimError(f"a worker process could not start: {said}, see above")
 

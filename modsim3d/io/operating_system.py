@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import RawIOBase
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -73,11 +74,28 @@ def may_fork() -> bool:
     return hasattr(os, "fork") and not has_parent and tasks.is_dir() and len(list(tasks.iterdir())) == 1
 
 
-def forked(work: Callable[..., None], *arguments: Any) -> Callable[[], None]:
-    """Do work in a fork of this process; the function that is returned waits for its end."""
-    process = multiprocessing.get_context("fork").Process(target=work, args=arguments, daemon=True)
+def own_fork(work: Callable[..., None], *arguments: Any) -> BaseProcess:
+    """Do work in a fork of this process which keeps nothing that a new interpreter would not have either: neither the
+    process group, which Ctrl-C goes to, nor standard input and output, nor what this process does at signals."""
+    return forked(_do_on_its_own, work, *arguments, daemon=False)
+
+
+def _do_on_its_own(work: Callable[..., None], *arguments: Any) -> None:
+    os.setpgid(0, 0)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)
+    sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+    for number in signal.valid_signals():
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    work(*arguments)
+
+
+def forked(work: Callable[..., None], *arguments: Any, daemon: bool = True) -> BaseProcess:
+    """Do work in a fork of this process, which may start such processes itself if it is no daemon."""
+    process = multiprocessing.get_context("fork").Process(target=work, args=arguments, daemon=daemon)
     process.start()
-    return process.join
+    return process
 
 
 def after_fork(work: Callable[[], None]) -> None:

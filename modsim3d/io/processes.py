@@ -48,7 +48,7 @@ class WorkerProcess:
         self._sending = threading.Lock()
         with other_end:  # closed before the next process is forked, which would hold it too
             if fork:
-                self._wait: Callable[[], Any] = forked(_serve, other_end, set_up, arguments)
+                self._wait: Callable[[], Any] = forked(_serve, other_end, set_up, arguments).join
             else:
                 # A script without `if __name__ == "__main__":` would start again in a process of multiprocessing.
                 code = f"from modsim3d.io.processes import serve; serve({other_end.fileno()}, {os.getpid()})"

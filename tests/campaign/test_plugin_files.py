@@ -21,7 +21,6 @@ from modsim3d.io.plugins import TRACKERS, changed_plugins, load_plugin, own_file
 from tests.campaign.campaigns import campaign_file, checked_campaign
 from tests.campaign.one_process import ThisProcess
 
-ROOT = Path(__file__).resolve().parents[2]
 TRACKER = """
 import numpy as np
 from modsim3d import TrackedFrame, Tracker
@@ -69,23 +68,24 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     forget()
 
 
-def campaign(site: Site, folder: Path, *options: object) -> tuple[int, str]:
-    """The command in a process of its own: its status, and what it says of errors."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
-    command = "-B", "-m", "modsim3d", "campaign", "run", campaign_file(folder, **KEYS), "--workers", "1", *options
-    line = [sys.executable, *map(str, command)]
-    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=300)
-    return done.returncode, done.stderr
+def test_an_edited_tracker_is_refused_by_the_same_command_and_scored_by_another(site, prepared, tmp_path: Path):
+    file, first = campaign_file(tmp_path, **KEYS), tmp_path / "first.py"
+    first.write_text(f"import sys\nsys.dont_write_bytecode = True\nsys.path[:0] = ['{site.folder}']\n")
 
+    def campaign(name: str) -> tuple[int, str]:
+        """The command in a process of its own: its status, and what it says of errors."""
+        options = "--workers", "1", "--out", tmp_path / name, "--cache", tmp_path / "cache"
+        line = [prepared, "campaign", "run", file, *options]
+        environment = {**os.environ, "FIRST": str(first)}
+        done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=300)
+        return done.returncode, done.stderr
 
-def test_an_edited_tracker_is_refused_by_the_same_command_and_scored_by_another(site: Site, tmp_path: Path) -> None:
-    shared = "--cache", tmp_path / "cache"
-    assert campaign(site, tmp_path, "--out", tmp_path / "old", *shared)[0] == 0
+    assert campaign("old")[0] == 0
     site.shift(400)
-    status, said = campaign(site, tmp_path, "--out", tmp_path / "old", *shared)
+    status, said = campaign("old")
     assert status == 2
     assert "shifting/numbers.py of the plug-in modsim3d.trackers:shifting changed. Choose another folder" in said
-    assert campaign(site, tmp_path, "--out", tmp_path / "new", *shared)[0] == 0
+    assert campaign("new")[0] == 0
     old, new = (pq.read_table(tmp_path / name / "results") for name in ("old", "new"))
     assert old["hota"][0].as_py() > 0.1 and new["hota"].to_pylist() == [0]
     assert old["detections_key"] == new["detections_key"] and old["tracks_key"] != new["tracks_key"]

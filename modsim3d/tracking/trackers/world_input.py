@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pyais
 
 from modsim3d.core.arrays import Array
 from modsim3d.formats.writing.ais.log import EPOCH_S, NO_COURSE, NO_HEADING, NO_SPEED, NOWHERE, lines, reports
@@ -86,6 +85,8 @@ def _readings(scene: Scene, own: OwnShips, step: int) -> Iterator[Navigation]:
 def ais_reports(scene: Scene, steps: int) -> list[AisReport]:
     """The reports of other vessels' AIS that are received in the first steps of a scene, in order of time: those that
     `modsim3d export --format ais` writes."""
+    import pyais  # slow, and every campaign imports this module
+
     others = tuple(each for each in stations(scene, scene.own_ships) if not each.own)
     found = sorted(reports(scene, steps, others))
     texts = [lines(each.message, False, "AB"[each.number % 2], each.number % 10, each.time_s) for each in found]

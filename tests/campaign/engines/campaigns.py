@@ -87,10 +87,13 @@ class Campaigns:
         finally:
             shutil.rmtree(hold, ignore_errors=True)
 
-    def coordinator(self, engine: str, out: Path) -> subprocess.Popen[str]:
-        """A campaign in a process of its own: a number of workers, or the address of a scheduler."""
-        line = [sys.executable, "-m", "tests.campaign.engines.coordinator", engine, self.folder / "plain.yaml", out]
-        return subprocess.Popen(line, stderr=subprocess.PIPE, text=True)
+    def coordinator(self, engine: str, out: Path, name: str = "plain", threads: int = 1) -> subprocess.Popen[str]:
+        """A campaign in a process of its own: a number of workers, which are forks where it has one thread, or the
+        address of a scheduler."""
+        path = self.checked(name).file.path
+        line = [sys.executable, "-m", "tests.campaign.engines.coordinator", engine, path, out]
+        alone = {"OPENBLAS_NUM_THREADS": str(threads), "JE_ARROW_MALLOC_CONF": "background_thread:false"}
+        return subprocess.Popen(line, stderr=subprocess.PIPE, text=True, env={**os.environ, **alone})
 
 
 def content(folder: Path) -> Content:

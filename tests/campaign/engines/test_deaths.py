@@ -8,9 +8,8 @@ from modsim3d.campaign.folder import killed_sentence, opened_campaign
 from modsim3d.campaign.report.campaign_page import cautions
 from modsim3d.campaign.workers import ProcessPool
 from modsim3d.core.document import Text
-from tests.campaign.campaigns import Losing
+from tests.campaign.campaigns import Losing, no_engine
 from tests.campaign.engines.campaigns import MORTAL, Campaigns, content
-from tests.campaign.one_process import ThisProcess
 
 CRASHES = {
     "exit": "the run ended its worker process (exit status 3)",
@@ -21,16 +20,16 @@ CRASHES = {
 }
 
 
-def test_a_run_that_ends_its_process_has_crashed_and_one_that_is_killed_is_tried_again(campaigns, doomed, out, capfd):
-    result = campaigns.run("mortal", lambda: ProcessPool(1), out)
+def test_a_run_that_ends_its_process_has_crashed_and_one_that_is_killed_is_tried_again(campaigns, doomed, out):
+    with campaigns.coordinator("1", out, "mortal") as coordinator:
+        assert coordinator.communicate()[1] == ""
+    result = campaigns.run("mortal", no_engine, out)
     rows = {row["tracker"]: row for row in result.table.to_pylist()}
     assert {path.name for path in doomed.iterdir()} == {*MORTAL}
     assert {name: row["error"] for name, row in rows.items() if row["status"] == "crashed"} == CRASHES
     assert {name for name, row in rows.items() if row["status"] == "done"} == {"reference", "kill"}
-    assert "Traceback" not in capfd.readouterr().err
     said = "Killed from outside, and their work tried again: 1 worker (SIGKILL 1×); runs under way: 4 (campaign.log)."
     assert killed_sentence(result.folder) == said and Text(said) in cautions(result.folder, result.table)
-    assert campaigns.run("mortal", ThisProcess, out).table.equals(result.table)
 
 
 def test_a_worker_that_is_lost_without_a_word_is_noted_with_its_runs(campaigns: Campaigns, out: Path) -> None:

@@ -30,7 +30,7 @@ def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, ou
 def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
     process = CampaignWorker()
     process.close()
-    assert process._process.returncode == -signal.SIGKILL
+    assert process.wait() == -signal.SIGKILL
 
 
 def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaigns: Campaigns, out: Path) -> None:
@@ -43,9 +43,10 @@ def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaig
     campaigns.check_end(out)
 
 
-@pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
-def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(campaigns, out, number, count):
-    with campaigns.holding() as waiting, campaigns.coordinator(str(count), out) as coordinator:
+@pytest.mark.parametrize(("number", "count", "threads"), [(signal.SIGKILL, 2, 1), (signal.SIGINT, 1, 2)])
+def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(campaigns, out, number, count, threads):
+    """They are forks of it or, where it has threads, new interpreters."""
+    with campaigns.holding() as waiting, campaigns.coordinator(str(count), out, threads=threads) as coordinator:
         workers = waiting(count)
         coordinator.send_signal(number)
         assert coordinator.wait(30) in (-number, 1)

@@ -10,8 +10,6 @@ from operator import xor
 from pathlib import Path
 from typing import Any
 
-from pyais.encode import ais_to_nmea_0183, data_to_payload
-
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.formats.writing.ais import reporting, sensors
@@ -77,6 +75,8 @@ def static_fields(station: Station, part: int) -> Fields:
 
 def payload(fields: Fields) -> tuple[str, int]:
     """The encoded message, and how many bits fill up its last character."""
+    from pyais.encode import data_to_payload  # slow to import, and every campaign imports this module
+
     return data_to_payload(fields["msg_type"], fields).encode()
 
 
@@ -84,6 +84,8 @@ def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time
     """The lines in the log of an encoded message with its fill bits: a tag block with the Unix time, and the sentence.
     `own` says whether own ship sent it, `channel` is `A` or `B`, `sequence` a number from 0 to 9, which the parts of a
     long message share, and `time_s` counts from the first step."""
+    from pyais.encode import ais_to_nmea_0183
+
     text, fill_bits = message
     block = f"c:{EPOCH_S + math.floor(time_s)}"
     tag = f"\\{block}*{reduce(xor, block.encode('ascii'), 0):02X}\\"

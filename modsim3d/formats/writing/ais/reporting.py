@@ -10,7 +10,7 @@ a report lies within a selection interval around its nominal time, in one of the
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+from numpy.lib.stride_tricks import sliding_window_view
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.formats.writing.ais.sensors import SensorReadings
@@ -75,7 +75,7 @@ def rate(seen: SensorReadings, ais_class: str, at_rest: bool) -> ReportingRate:
     bounds, straight, turning = (np.array(column) for column in zip(*CLASS_A_S, strict=True))
     # The highest speed of the last three minutes.
     size = SLOWER_AFTER_S + 1
-    highest = ndimage.maximum_filter1d(speed, size, mode="constant", cval=0.0, origin=size // 2)
+    highest = sliding_window_view(np.pad(speed, (size, 0)), size)[1:].max(axis=1)
     row, changing = np.searchsorted(bounds, highest), changes_course(seen)
     return ReportingRate(np.where(changing, turning[row], straight[row]), changing & (turning[row] < straight[row]))
 
