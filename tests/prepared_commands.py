@@ -7,6 +7,7 @@ arguments, folder, environment, files and file size limit of its client, and get
 the variable `FIRST` names a file of Python, that is run first, in the process of the command.
 """
 
+import atexit
 import contextlib
 import gc
 import json
@@ -16,7 +17,9 @@ import select
 import signal
 import socket
 import sys
+import threading
 from pathlib import Path
+from typing import NoReturn
 
 import modsim3d
 from benchmarks.faults.commands import prepare
@@ -109,7 +112,10 @@ def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
             exec(Path(first).read_text(encoding="utf-8"), {})
         from modsim3d.cli.main import main
 
-        sys.exit(main())
+        try:
+            main()
+        except SystemExit as ended:
+            leave(int(ended.code or 0))
     for file in (0, 1, 2, *files):  # a reader of the command's output waits until nobody can write to it
         os.close(file)
     ended = os.pidfd_open(command)
@@ -122,6 +128,15 @@ def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
     with contextlib.suppress(BrokenPipeError):
         connection.sendall(str(status if status >= 0 else 128 - status).encode())
     os._exit(0)
+
+
+def leave(status: int) -> NoReturn:
+    """End as Python does, but leave the memory of all modules to the system: a fork would copy what it frees."""
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 if __name__ == "__main__":
