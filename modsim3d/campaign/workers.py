@@ -64,7 +64,7 @@ class ProcessDiedError(Exception):
         self.death = death
 
 
-_pipes = WeakSet[Connection]()  # to the workers; a fork that held them would keep other workers from seeing their end
+_pipes = WeakSet[Connection]()  # to the workers; a fork that held one would keep a worker from seeing its end
 
 
 def _close_pipes() -> None:
@@ -82,6 +82,7 @@ class CampaignWorker:
     def __init__(self) -> None:
         """Start the process; tasks may be handed to it at once."""
         self.pipe, other_end = multiprocessing.Pipe()
+        _pipes.add(self.pipe)
         self._busy = self._ready = False
         self._run: int | None = None
         self._process: subprocess.Popen[bytes] | BaseProcess
@@ -91,7 +92,6 @@ class CampaignWorker:
             else:
                 serving = "modsim3d.campaign.serving", str(other_end.fileno()), str(os.getpid())
                 self._process = new_interpreter(other_end, "-m", *serving)
-        _pipes.add(self.pipe)
 
     @property
     def id(self) -> int:

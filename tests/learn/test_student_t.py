@@ -1,9 +1,8 @@
 """Box errors of Student's t law are learned as such, and normal ones as normal."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -204,33 +203,15 @@ def test_every_number_of_a_t_law_comes_back_inside_its_interval_and_in_the_file_
     assert all(isinstance(state.box_error.distribution, StudentT) for state in load_detector(out).states)
 
 
-Labelled = Callable[[int], LabelledSet]
-
-
-@pytest.fixture(scope="module")
-def of_thesis(tmp_path_factory: pytest.TempPathFactory) -> Labelled:
-    """A run of the thesis's detector by its seed."""
+def of_thesis(folder: Path, seed: int) -> LabelledSet:
+    """A run of the thesis's detector, whose errors are drawn anew for half of the boxes."""
     thesis = data_folder("scenes") / "detectors/thesis.yaml"
-
-    @cache
-    def run(seed: int) -> LabelledSet:
-        return labelled_run(simulate("simulation_1", tmp_path_factory.mktemp("thesis"), 0, 900, seed, thesis))[0]
-
-    return run
+    return labelled_run(simulate("simulation_1", folder, 0, 900, seed, thesis))[0]
 
 
-@pytest.mark.parametrize("seed", [0, 3])
-def test_normal_errors_half_of_which_were_drawn_anew_are_learned_as_normal_ones(seed: int, of_thesis: Labelled) -> None:
-    labelled = of_thesis(seed)
-    states = each_its_own(("excellent", "good", "bad", "terrible"))
-    image_state = states.of_images(labelled.images, labelled.conditions)
-    form = choose_box_errors(observed_as(labelled, states.names, image_state, Rule("provenance")))
-    assert {state.law for state in form.states} == {"normal"}
-
-
-def test_errors_half_of_which_were_drawn_anew_are_not_known(of_thesis: Labelled) -> None:
+def test_normal_errors_half_of_which_were_drawn_anew_are_learned_as_normal_ones_and_not_known(tmp_path: Path) -> None:
     settings = LearnSettings(Rule("provenance"), replicates=20)
-    report = learn_detector(of_thesis(0), settings, LearnOptions(check=False))
+    report = learn_detector(of_thesis(tmp_path, 0), settings, LearnOptions(check=False))
     assert re.fullmatch(
         r"Not known: (states\.\w+\.box_error(, )?)+; so many boxes fail the matching, or were drawn anew, that "
         "errors may spread farther",
@@ -239,3 +220,8 @@ def test_errors_half_of_which_were_drawn_anew_are_not_known(of_thesis: Labelled)
     state = report.remarks[0].split(".")[1]
     interval = {each.key.path: each for each in report.learned.intervals(0.95)}[f"states.{state}.box_error_mean"]
     assert np.isnan(interval.low).all() and np.isnan(interval.high).all() and np.isfinite(interval.estimate).all()
+    labelled = of_thesis(tmp_path, 3)
+    states = each_its_own(("excellent", "good", "bad", "terrible"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    other = choose_box_errors(observed_as(labelled, states.names, image_state, Rule("provenance")))
+    assert {state.law for form in (report.learned.form.box_errors, other) for state in form.states} == {"normal"}

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -31,6 +33,22 @@ def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
     process = CampaignWorker()
     process.close()
     assert process.wait() == -signal.SIGKILL
+
+
+FORKS = """
+from modsim3d.campaign.workers import CampaignWorker
+workers = CampaignWorker(), CampaignWorker()
+assert all(each.answer() is None for each in workers)  # they are ready
+for each in workers:
+    each.close()
+print(*(type(each._process).__name__ for each in workers), *(each.wait() for each in workers))
+"""
+
+
+def test_a_fork_holds_no_pipe_of_another_which_therefore_ends_by_itself() -> None:
+    alone = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
+    said = subprocess.check_output([sys.executable, "-c", FORKS], env={**os.environ, **alone}, text=True)
+    assert said.split() == ["ForkProcess", "ForkProcess", "0", "0"]
 
 
 def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaigns: Campaigns, out: Path) -> None:
