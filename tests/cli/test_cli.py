@@ -1,15 +1,18 @@
-"""What commands write, say and answer; `--out` names a folder, or a file, which in a folder has its usual name."""
+"""What commands write, say and answer; that `--out` is a file or a folder; and what `check scene` shows and doubts."""
 
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
+from modsim3d import load_detector
 from modsim3d.cli import main
 from modsim3d.io.input_files import data_folder
 from tests import command_line
 from tests.cli.bad_input.builders import answer, refusal
 from tests.cli.conftest import Modsim3d
+from tests.cli.test_json import parsed
+from tests.scenes import write_scene
 
 
 def test_run_says_what_happened_writes_the_same_contact_sheet_again_and_ctrl_c_ends_it(monkeypatch, tmp_path, capsys):
@@ -72,16 +75,16 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize(("name", "words"), FILES.items(), ids=FILES)
-@pytest.mark.parametrize("folder", ["pages", "run.2"])
-def test_a_file_is_put_into_a_folder_under_its_usual_name(modsim3d, run, tmp_path, name, words, folder):
-    (tmp_path / folder).mkdir()
-    command, *options = words
-    line = (*command.split(), run, *options, "--out", tmp_path / folder)
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_put_into_a_folder_under_its_usual_name(modsim3d, run, tmp_path, name):
+    folder = tmp_path / ("pages" if name == "report.html" else "run.2")
+    folder.mkdir()
+    command, *options = FILES[name]
+    line = (*command.split(), run, *options, "--out", folder)
     assert modsim3d(*line).status == 0
-    assert [path.name for path in (tmp_path / folder).iterdir()] == [name]
+    assert [path.name for path in folder.iterdir()] == [name]
     said = modsim3d(*line)
-    assert said.status == 2 and f"{tmp_path / folder / name} exists: use --overwrite" in said.err
+    assert said.status == 2 and f"{folder / name} exists: use --overwrite" in said.err
 
 
 def test_a_learned_detector_and_an_export_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
@@ -97,3 +100,36 @@ def test_a_learned_detector_and_an_export_are_put_into_a_folder(modsim3d: Modsim
     ):
         said = modsim3d("export", run, *arguments)
         assert said.status == 2 and part in said.err
+
+
+CAMERA = {"hfov_deg": 60, "image_size_px": [1920, 1080], "pose": {"position_m": [-90, 0, 12], "pitch_deg": 3}}
+
+
+def test_a_scene_is_shown_doubted_and_drawn_and_campaigns_and_detectors_have_their_facts(modsim3d, tmp_path):
+    boats = {"ferry": ([14, 86, 20], [[0, 100, 0], [9, 150, 0]])}
+    line = ("check", "scene", write_scene(tmp_path, boats, 9, cameras={"quay": CAMERA}), "--map", tmp_path / "map.png")
+    said = modsim3d(*line)
+    assert said.status == 0 and said.err.startswith("warning: vessel 'ferry' is 14 m long and 86 m wide")
+    shown = " ".join(said.out.split())
+    camera = "quay: 1920 × 1080, 60.0° × 36.0°, 12 m up, looks towards heading 0° and 3° down, horizon at row 453"
+    assert camera in shown and "Vessel: 1, 14 × 86 × 20 m, 5.6 m/s" in shown
+    assert (tmp_path / "map.png").read_bytes()[1:4] == b"PNG"
+    found = parsed(modsim3d(*line, "--overwrite", "--json"))
+    (camera,), (boat,) = found["camera_facts"], found["vessel_types"]
+    assert camera["field_of_view_deg"][0] == pytest.approx(60)
+    assert camera["horizon_row"] == pytest.approx(452.86, abs=0.01)
+    assert (boat["length_m"], boat["count"], found["map"]) == ([14, 14], 1, str(tmp_path / "map.png"))
+    assert len(found["warnings"]) == 1
+    scenes = data_folder("scenes")
+    found = parsed(modsim3d("check", "scene", scenes / "campaigns" / "example.yaml", "--json"))
+    assert (found["runs"], found["trackers"], len(found["required"])) == (24, ["reference", "hasty"], 3)
+    file = scenes / "detectors" / "coastal.yaml"
+    detector, found = load_detector(file), parsed(modsim3d("check", "scene", file, "--json"))
+    for state, facts in zip(detector.states, found["states"], strict=True):
+        detected = state.confusion[:-1].sum(axis=0).mean()
+        assert facts["miss_rate"] == pytest.approx(1 - detected)
+        assert facts["false_alarms"] == state.false_positives_per_image
+    missed = "missed        clear 4.0%, haze 13.3%, 7.1% in the long run\n"
+    assert f"{missed}false alarms  clear 0.1, haze 0.25 an image" in modsim3d("check", "scene", file).out
+    refused = modsim3d("check", "scene", file, "--map", "map.png")
+    assert refused.status == 2 and "--map are for scenes" in refused.err

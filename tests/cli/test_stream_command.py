@@ -71,10 +71,6 @@ def connected(address: tuple[str, int]) -> socket.socket:
     return reader
 
 
-def entries(text: bytes) -> list[dict[str, Any]]:
-    return [json.loads(each) for each in text.splitlines()]
-
-
 def expected(scene: Path, **options: Any) -> bytes:
     """What a scene without live poses streams."""
     loaded = load_scene(scene, **options)
@@ -119,7 +115,7 @@ def test_a_stream_ends_with_a_word_when_its_readers_are_gone(stored: Path, start
     assert (status, said) == (0, gone)
 
 
-def test_ctrl_c_ends_it_while_it_waits_for_poses(live: Path, start: Start) -> None:
+def test_ctrl_c_ends_it_while_it_waits_for_poses_and_sigterm_while_its_pipe_is_full(live, start):
     process = start(live, "--to", "tcp://127.0.0.1:0")
     with closing(connected(listening(process))) as reader, reader.makefile("rb") as received:
         give(process, line(0, "own"))
@@ -127,9 +123,6 @@ def test_ctrl_c_ends_it_while_it_waits_for_poses(live: Path, start: Start) -> No
         process.send_signal(signal.SIGINT)
         assert received.read() == b""
     assert end_of(process)[::2] == (130, "\nmodsim3d: interrupted\n")
-
-
-def test_it_can_be_told_to_stop_while_its_pipe_is_full(start: Start) -> None:
     process = start("strait", "--set", "annotation.source=analytic")
     assert process.stdout.read(1) == b"{"
     process.send_signal(signal.SIGTERM)
@@ -194,14 +187,11 @@ WRONG = (
 )
 
 
-def test_wrong_options_are_told(modsim3d: Modsim3d, stored: Path) -> None:
+def test_wrong_options_and_ports_that_are_taken_or_open_to_others_are_told(modsim3d: Modsim3d, stored: Path) -> None:
     for options, part in WRONG:
         said = modsim3d("stream", stored, *options.split())
         assert said.status == 2
         assert part in said.err and said.err.startswith("modsim3d: ") and said.err.count("modsim3d: ") == 1
-
-
-def test_a_port_that_is_taken_and_one_that_other_computers_reach_are_told(modsim3d: Modsim3d, stored: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         said = modsim3d("stream", stored, "--to", f"tcp://127.0.0.1:{taken.getsockname()[1]}")
     assert (said.status, said.out) == (2, "")
@@ -252,19 +242,16 @@ def test_the_status_of_verify_is_its_verdict_whoever_reads(run, prepared, tmp_pa
     assert json.loads((tmp_path / "out" / "verify.json").read_text())["obeys"] is obeys
 
 
-def test_no_command_minds_a_reader_that_goes_away(prepared: Path) -> None:
+def test_no_command_minds_a_reader_that_goes_away_does_its_work_and_keeps_its_status(prepared, scene, run, tmp_path):
     """Nor in a Python of its own: help, which is printed before all else, a text and an object."""
     harbour = "check scene harbour"
     commands = ("scenes", "-h", "run -h", harbour, "scenes --json", f"{harbour} --json", "--version")
     asked = [(f"MODSIM3D {command}", prepared) for command in commands]
-    for unbuffered in ("", "PYTHONUNBUFFERED=1"):
-        asked += [(f"{unbuffered} MODSIM3D {command}", PROGRAM) for command in ("-h", harbour, "scenes --json")]
+    asked += [(f"MODSIM3D {command}", PROGRAM) for command in ("-h", harbour)]
+    asked += [(f"PYTHONUNBUFFERED=1 MODSIM3D {command}", PROGRAM) for command in (harbour, "scenes --json")]
     for command, program in asked:
         done = bash(f"{command} | true; echo ${{PIPESTATUS[0]}}", program=program)
         assert (done.stdout, done.stderr) == ("0\n", ""), command
-
-
-def test_a_command_does_its_work_and_errors_keep_their_status_whoever_reads(scene, run, prepared, tmp_path) -> None:
     line = 'MODSIM3D run "$1" --source analytic --no-sheet --out "$2" 2>&1 | true; echo ${PIPESTATUS[0]}'
     assert bash(line, scene, tmp_path / "run", program=prepared).stdout == "0\n"
     assert (tmp_path / "run" / "run.json").exists()

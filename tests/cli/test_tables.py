@@ -51,15 +51,19 @@ def test_every_word_of_every_cell_is_printed_whole_and_in_order(rows, width, wit
     assert not any(line.endswith(" ") for line in lines)
 
 
-def test_a_file_name_and_a_number_are_never_broken() -> None:
+def test_names_numbers_and_paths_are_not_broken_and_what_does_not_fit_stands_below_its_row():
     name = "/a/very/long/path/" + "x" * 90 + "/scene.yaml"
     rows = [(name, "0.2111 … 1", "some words that explain what this is about, at length"), ("b", "2", "c")]
     for width, header in itertools.product((40, 60, 80, 120, 200), ((), ("file", "interval", "meaning"))):
         text = "\n".join(printed(width, "title", rows, header=header))
         assert name in text and "0.2111 … 1" in text, (width, header)
-
-
-def test_columns_stand_one_below_the_other_and_what_does_not_fit_below_its_row_with_their_names() -> None:
+    file, path = io.StringIO(), Path("a_folder/" * 8)
+    console = open_console(file=file, width=60)
+    print_path(console, "run directory", Path("runs/first"))
+    print_path(console, "run directory", path)
+    print_prose(open_console(file=file, width=20), "the file /a/b/c/d/e/f/g/h.yaml is well", indent=2)
+    prose = "  the file\n  /a/b/c/d/e/f/g/h.yaml\n  is well\n"
+    assert file.getvalue() == f"run directory  runs/first\nrun directory\n{path}\n{prose}"
     lines = printed(40, "title", [("a", "1"), ("long", "22")], header=("name", "number"), right=(1,))
     assert lines == ["", "title", "name  number", "a          1", "long      22"]
     rows = [("parameter_with_a_name", "0.99", "0.2 … 1", "obeys"), ("other", "1", "–", "DIFFERS")]
@@ -112,16 +116,6 @@ def test_an_error_is_broken_between_words_on_a_terminal_and_not_in_a_pipe(prepar
     assert modsim3d("check", "scene", "nowhere.yaml").err.count("\n") == 2
 
 
-def test_a_long_path_stands_on_a_line_of_its_own_and_prose_is_broken_between_words() -> None:
-    file, path = io.StringIO(), Path("a_folder/" * 8)
-    console = open_console(file=file, width=60)
-    print_path(console, "run directory", Path("runs/first"))
-    print_path(console, "run directory", path)
-    print_prose(open_console(file=file, width=20), "the file /a/b/c/d/e/f/g/h.yaml is well", indent=2)
-    prose = "  the file\n  /a/b/c/d/e/f/g/h.yaml\n  is well\n"
-    assert file.getvalue() == f"run directory  runs/first\nrun directory\n{path}\n{prose}"
-
-
 COUNTS = Counts(
     **{"frames": 1500, "vessel_frames": 7500, "seen": 7458, "partly_hidden": 330, "fully_hidden": 42},
     **{"annotated": 7458, "detected": 5933, "missed": 1525, "missed_by_gate": 61, "merged": 33, "mislabelled": 596},
@@ -167,15 +161,17 @@ def test_every_share_is_of_a_number_that_is_printed(strait: Scene, result: RunRe
     assert not any("%" in said for _, _, said in summary_rows(strait, with_counts(result, bow=Counts())))  # of nothing
 
 
-def test_the_counts_of_the_files_are_those_that_are_printed(strait: Scene, result: RunResult) -> None:
+def test_counts_of_files_and_cameras_are_printed_unbroken_and_bad_boxes_warned_of(strait, result, monkeypatch, capsys):
     tables = open_run(result.folder).tables()
     rows = {name: value for name, value, _ in summary_rows(strait, result)}
     kept = {name: sum(tables["truth"][name].to_pylist()) for name in ("annotated", "detected")}
-    kept["detections"] = len(tables["detections"])
-    assert {name: int(rows[name]) for name in kept} == kept
-
-
-def test_each_camera_has_its_counts_and_boxes_that_an_evaluation_would_not_match_are_warned_of(strait, result) -> None:
+    assert {name: int(rows[name]) for name in (*kept, "detections")} == kept | {"detections": len(tables["detections"])}
+    monkeypatch.setenv("COLUMNS", "80")
+    both = with_counts(result, bow=COUNTS, quay=COUNTS, the_quay_camera=COUNTS)
+    print_summary(strait, both, sheet=False)
+    words = set(capsys.readouterr().out.split())
+    for row in summary_rows(strait, both) + camera_rows(both):
+        assert set(" ".join(row).split()) <= words, row
     header, *rows = camera_rows(with_counts(result, bow=COUNTS, stern=Counts(frames=3)))
     assert dict(zip([" ".join(name.split()) for name in header], rows[0], strict=True)) == {
         **{"camera": "bow", "frames": "1500", "annotated": "7458", "detected": "5933", "false alarms": "846"},
@@ -186,15 +182,6 @@ def test_each_camera_has_its_counts_and_boxes_that_an_evaluation_would_not_match
     said = [run_warnings(strait, with_counts(result, bow=some, quay=some)) for some in (COUNTS, few)]
     assert [["IoU below 0.5" in line for line in lines] for lines in said] == [[True], []]
     assert said[0][0].startswith("11736 of 11800 true detections have IoU below 0.5")
-
-
-def test_no_word_is_broken_at_80_columns(strait, result, monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "80")
-    both = with_counts(result, bow=COUNTS, quay=COUNTS, the_quay_camera=COUNTS)
-    print_summary(strait, both, sheet=False)
-    words = set(capsys.readouterr().out.split())
-    for row in summary_rows(strait, both) + camera_rows(both):
-        assert set(" ".join(row).split()) <= words, row
 
 
 def test_check_warns_of_the_sign_of_the_pitch(tmp_path, monkeypatch, capsys):

@@ -33,7 +33,7 @@ def tracks(run: Path, tmp_path: Path) -> Path:
     return track_run(run, tmp_path / "tracks").folder
 
 
-def test_a_score_prints_trackers_beside_references_and_rules_and_its_help_tracks_once(modsim3d, run, tracks) -> None:
+def test_a_score_prints_trackers_beside_references_and_is_written_where_it_is_told(modsim3d, run, tracks, tmp_path):
     said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa", 70, "--seeds", 2)
     assert said.status == 0
     for part in (
@@ -46,9 +46,6 @@ def test_a_score_prints_trackers_beside_references_and_rules_and_its_help_tracks
     assert not (run / "score.json").exists()
     usage = modsim3d("score", "-h").out.split("Example")[0]
     assert usage.count("RUN") == usage.count("TRACKS") == 1
-
-
-def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(modsim3d, run, tracks, tmp_path):
     said = modsim3d("score", run, tracks, "--by", "class", "--out", tmp_path / "out", "--json")
     found = json.loads(said.out)
     assert found.pop("written") == [str(tmp_path / "out" / name) for name in ("score.json", "score.html")]
@@ -131,7 +128,7 @@ def test_in_fog_more_is_missed_and_one_option_says_so(tmp_path: Path, modsim3d: 
     assert missed["foggy_cloudy"] > missed["noon_clear"]
 
 
-def test_the_command_says_what_python_says(tmp_path: Path, modsim3d: Modsim3d) -> None:
+def test_detect_truth_says_what_python_says_and_its_object_has_the_keys_of_the_page(tmp_path, modsim3d):
     truth = write(tmp_path / "gt.json", coco({"left": 30, "right": 20}, categories=("ship", "buoy")))
     line = ("--truth", truth, "--detector", "thesis", "--detector-seed", 4, "--frame-rate", 5, "--labels", "Vessel,-")
     said = modsim3d("detect", *line, "--horizon", 150, "--out", tmp_path / "a")
@@ -146,9 +143,6 @@ def test_the_command_says_what_python_says(tmp_path: Path, modsim3d: Modsim3d) -
     assert all(f"Note: {note}." in said.out for note in result.notes)
     assert f"annotated vessels {result.counts.annotated}" in repr(result)
     assert str(result.counts.annotated) in result._repr_html_()
-
-
-def test_the_keys_of_its_object_are_those_of_the_page(tmp_path: Path, modsim3d: Modsim3d) -> None:
     line = ("detect", "--truth", mot(tmp_path / "bay"), "--detector", "thesis", "--out", tmp_path / "out")
     found = parsed(modsim3d(*line, "--json"))
     assert set(found) == documented("detect --truth")

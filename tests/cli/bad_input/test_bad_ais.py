@@ -76,13 +76,19 @@ def test_a_byte_that_is_no_text_costs_its_row_only_and_rows_are_numbered_as_in_t
         assert chunk.problems[0].startswith("row 5: SOG is not a number")
 
 
-def test_a_year_without_ais_costs_its_row_only_and_a_name_without_end_is_cut(tmp_path: Path) -> None:
+def test_a_year_without_ais_costs_its_row_only_a_name_is_cut_and_far_reports_cost_two_steps(tmp_path):
     for time in ("0001-01-04T10:00:00", "9999-12-31T23:59:59", "1969-12-31T23:59:59"):
         rows = [row(second) for second in range(0, 300, 10)]
         traffic = traffic_of(old_file(tmp_path, *rows, row(30).replace("2024-01-04T10:00:30", time)))
         assert (traffic.dropped["unreadable"], len(only(traffic).steps)) == (1, 291)
         named = row(30).replace(",X,", "," + "N" * 100_000 + ",")
         assert len(only(traffic_of(old_file(tmp_path, *rows, named))).hull.name) <= 120
+    assert time_text(1704362400.0) == "2024-01-04T10:00:00Z"
+    assert [time_text(sign * 1e300) for sign in (1, -1)] == ["1e+300 s after 1970", "-1e+300 s after 1970"]
+    rows = [row(0, mmsi=219000000 + k) for k in range(50)]
+    traffic = traffic_of(old_file(tmp_path, *rows, *(text.replace("2024-01-04", "2024-01-15") for text in rows)))
+    assert len(traffic.grid.times_s) == 950_401
+    assert sum(vessel.places_m.nbytes for vessel in traffic.vessels) == 50 * 2 * 16
 
 
 HEADER, REPORT = DANISH.split(b"\n")[0], tagged("c:1423133048")
@@ -109,24 +115,11 @@ def test_what_is_no_log_is_refused_early_and_without_its_content(refuse: Refuse,
     assert "secret" not in refuse(content(), part)
 
 
-def test_pipes_and_folders_are_refused(tmp_path: Path, refuse: Refuse) -> None:
+def test_pipes_folders_and_absurd_options_are_refused_and_a_time_tag_of_too_many_digits_is_no_time(tmp_path, refuse):
     os.mkfifo(tmp_path / "pipe")
     refuse(tmp_path / "pipe", "this is a pipe, a file was expected")
     (tmp_path / "folder").mkdir()
     refuse(tmp_path / "folder", "this is a folder, a file was expected")
-
-
-def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse) -> None:
-    for digits in (11, 17, 400):
-        wrong = tagged("c:" + "9" * digits)
-        refuse((wrong * 3).encode(), "has no times", "in seconds or milliseconds")
-        path = tmp_path / "log"
-        path.write_text(REPORT + wrong)
-        (chunk,) = read_nmea(path)
-        assert (len(chunk.positions), dict(chunk.dropped)) == (1, {"no_time": 1})
-
-
-def test_absurd_options_are_refused(refuse: Refuse) -> None:
     for options, part in (
         ("--time-step 1e-300", "--time-step: must be above 0, from 1e-06 to 1e+09 (got 1e-300)"),
         ("--end +1e300", "--end +SECONDS: must be above 0, from 1e-06 to 1e+09"),
@@ -140,15 +133,13 @@ def test_absurd_options_are_refused(refuse: Refuse) -> None:
         (f"--start {'x' * 100_000}", "--start: a time such as"),
     ):
         refuse(SAMPLES / "receiver.nmea", part, options=tuple(options.split()))
-
-
-def test_every_time_has_a_text_and_vessels_of_two_reports_cost_two_steps_however_far_apart(tmp_path: Path) -> None:
-    assert time_text(1704362400.0) == "2024-01-04T10:00:00Z"
-    assert [time_text(sign * 1e300) for sign in (1, -1)] == ["1e+300 s after 1970", "-1e+300 s after 1970"]
-    rows = [row(0, mmsi=219000000 + k) for k in range(50)]
-    traffic = traffic_of(old_file(tmp_path, *rows, *(text.replace("2024-01-04", "2024-01-15") for text in rows)))
-    assert len(traffic.grid.times_s) == 950_401
-    assert sum(vessel.places_m.nbytes for vessel in traffic.vessels) == 50 * 2 * 16
+    for digits in (11, 17, 400):
+        wrong = tagged("c:" + "9" * digits)
+        refuse((wrong * 3).encode(), "has no times", "in seconds or milliseconds")
+        path = tmp_path / "log"
+        path.write_text(REPORT + wrong)
+        (chunk,) = read_nmea(path)
+        assert (len(chunk.positions), dict(chunk.dropped)) == (1, {"no_time": 1})
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -166,14 +157,11 @@ def test_steps_near_reports_are_all_at_which_a_vessel_can_be_there(seed: int) ->
     np.testing.assert_array_equal(near_headings[near], headings[there])
 
 
-def test_two_vessels_that_share_an_identity_all_day_are_told_apart_in_pieces() -> None:
+def test_two_vessels_of_one_identity_are_told_apart_and_lines_that_are_no_sentence_searched_fast(tmp_path, monkeypatch):
     number = 30_000
     times, places = np.arange(number, dtype=float), np.zeros((number, 2))
     places[1::3] = 1e6  # every third report is of the other vessel
     assert np.flatnonzero(~reachable(times, places, 10.0)).tolist() == list(range(1, number, 3))
-
-
-def test_lines_that_are_no_sentence_are_searched_fast_and_messages_without_end_not_kept(tmp_path, monkeypatch):
     for filling in ("a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"):
         line = (filling * 1000)[:900] + "!" + TYPE_1
         (tmp_path / "log").write_text(REPORT + f"{line}\n" * 2000)

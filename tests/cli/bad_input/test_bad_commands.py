@@ -1,5 +1,6 @@
-"""Wrong arguments and settings, folders that cannot be written to, no renderer: one error, and nothing is lost."""
+"""Wrong arguments and settings, hostile text, odd terminals, no renderer or memory: one error, and nothing is lost."""
 
+import io
 import json
 import os
 import re
@@ -12,6 +13,9 @@ from typing import Any
 
 import pytest
 
+from modsim3d.cli import terminal
+from modsim3d.cli.shared import print_line, progress
+from modsim3d.cli.terminal_tables import print_table
 from modsim3d.render import context
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
@@ -57,10 +61,11 @@ def test_folder_that_cannot_be_written_to_is_told(inputs: Inputs, call: Call, tm
     assert (tmp_path / "file").read_text() == "mine"
 
 
+PRECIOUS = ("notes.txt", "run.json", "unfinished/settings.json", "unfinished/chapter.txt", "truth.parquet")
+
+
 @pytest.mark.parametrize("options", [(), ("--overwrite",), ("--resume",), ("--overwrite", "--resume")])
-@pytest.mark.parametrize(
-    "name", ["notes.txt", "run.json", "unfinished/settings.json", "unfinished/chapter.txt", "truth.parquet"]
-)
+@pytest.mark.parametrize("name", PRECIOUS)
 def test_a_folder_that_is_no_run_directory_keeps_all_it_holds(inputs, call, tmp_path, options, name):
     precious = tmp_path / "precious"
     (precious / name).parent.mkdir(parents=True)
@@ -131,20 +136,10 @@ def test_unknown_renderers_are_told_by_a_real_process(inputs, tmp_path, asked, t
     assert not (tmp_path / "out").exists()
 
 
-def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs, prepared: Path) -> None:
-    inputs.set("vessels", "\ud800", GOOD["vessels"]["vehicle2"])
-    inputs.set("scene", "sed", 1)
-    done = process("check", "scene", inputs.write(), program=prepared)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("modsim3d: scene ") and "sed: unknown key" in done.stderr
-    assert "printable" in done.stderr and "Traceback" not in done.stderr
-
-
-def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, prepared: Path, tmp_path: Path) -> None:
+def test_a_real_process_goes_on_after_a_full_disk_and_says_errors_on_standard_error_only(inputs, prepared, tmp_path):
     # Poses that need no file, so that the disk is full only after the scene has been copied.
     inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 120, "time_step_s": 0.5}
     scene, out = inputs.write(), tmp_path / "out"
-
     small_files = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (20_000, 20_000))
     done = process("run", scene, "--out", out, "--no-sheet", program=prepared, preexec_fn=small_files)
     assert done.returncode == 2 and "Traceback" not in done.stderr
@@ -153,6 +148,12 @@ def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, prepared: Pat
     assert not (out / "run.json").exists()
     run_scene(load_scene(scene), out, resume=True)
     assert (out / "run.json").exists()
+    inputs.set("vessels", "\ud800", GOOD["vessels"]["vehicle2"])
+    inputs.set("scene", "sed", 1)
+    done = process("check", "scene", inputs.write(), program=prepared)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("modsim3d: scene ") and "sed: unknown key" in done.stderr
+    assert "printable" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_a_wrong_setting_is_one_error(inputs, call, tmp_path):
@@ -194,3 +195,84 @@ def test_the_last_value_of_a_repeated_key_counts_and_a_truth_that_is_kept_cannot
     assert "a finished run keeps its truth: set keys of the detector only" in " ".join(said.split())
     assert not other.exists()
     answer(call, ("detect", run, "--out", other, "--set", "detector.states.fog.false_discovery_rate=0.3"))
+
+
+HOSTILE = "a\x1b[2J\r\x07\x9b1m\u202eb[/bold] :smile: [red]c"
+SHOWN = r"a\x1b[2J\r\x07\x9b1m\u202eb[/bold] :smile: [red]c"
+CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
+
+
+def test_control_characters_of_names_values_and_arguments_are_shown_and_not_obeyed(inputs: Inputs, call: Call) -> None:
+    for file, path, value in [
+        ("scene", "vessels", f"{HOSTILE}.json"),
+        ("poses", "2.0/vehicle2/heading_rad", HOSTILE),
+        ("scene", "poses/file", f"{HOSTILE}\nx.json"),
+        ("scene", "detector", f"{HOSTILE}.yaml"),
+    ]:
+        inputs.set(file, path, value)
+    inputs.data["scene"][HOSTILE] = 1
+    said = refusal(call, ("check", "scene", inputs.write()))
+    for part in (f"{SHOWN}: unknown key", f"{SHOWN}.json: no such file", f"{SHOWN}.yaml: no such", rf"{SHOWN}\nx.json"):
+        assert part in said
+    for arguments in (("check", "scene", HOSTILE), ("check", "scene", "x", HOSTILE), ("run", "x", f"--{HOSTILE}")):
+        said += refusal(call, arguments)
+    assert not CONTROL.search(said)
+
+
+def test_an_argument_that_is_not_utf_8_is_refused(call: Call, tmp_path: Path) -> None:
+    name = os.fsdecode(b"x\xff")
+    for line in (("check", "scene", tmp_path / f"{name}.yaml"), ("run", "harbour", "--out", tmp_path / name)):
+        refusal(call, line, r"x\udcff", "is not UTF-8")
+    assert not list(tmp_path.iterdir())
+
+
+def test_lines_tables_and_bars_show_text_as_it_is_in_the_colours_of_the_commands(monkeypatch) -> None:
+    file, err, colours = io.StringIO(), io.StringIO(), io.StringIO()
+    console = terminal.open_console(file=file, width=200, force_terminal=False)
+    print_line(console, HOSTILE)
+    print_table(console, HOSTILE, [(HOSTILE, "1")])
+    said = file.getvalue()
+    assert not CONTROL.search(said) and said.count(SHOWN) == 3
+    monkeypatch.setattr(sys, "stderr", err)
+    with progress(HOSTILE, 1) as advance:
+        advance(1)
+    assert not CONTROL.search(err.getvalue()) and "[/bold]" in err.getvalue()
+    console = terminal.open_console(file=colours, width=80, force_terminal=True, color_system="standard")
+    print_line(console, "a\x1b[2Jb", "bold red")
+    assert colours.getvalue().startswith("\x1b[1;31ma\\x1b[2Jb\x1b[0m")
+
+
+def process_in_shell(*arguments: object, prefix: str = "", program: object = None, **environment: str) -> Any:
+    command = [program] if program else [sys.executable, "-m", "modsim3d.cli.main"]
+    shell = ["sh", "-c", f'{prefix} exec "$@"', "sh", *command, *map(str, arguments)]
+    return subprocess.run(shell, capture_output=True, timeout=120, env={**os.environ, **environment}, check=False)
+
+
+def test_any_encoding_of_the_output_will_do(inputs, call, prepared, tmp_path):
+    run = tmp_path / "rün"
+    assert call("run", inputs.write(), "--out", run, "--no-sheet")[0] == 0
+    for encoding in ("latin-1", "ascii", "cp437"):
+        line = ("check", "run", run, "--overwrite")
+        done = process_in_shell(*line, program=prepared, PYTHONIOENCODING=encoding)
+        assert done.returncode in (0, 1) and b"Traceback" not in done.stderr
+        assert b"Performance state" in done.stdout
+    assert process_in_shell("scenes", PYTHONIOENCODING="ascii").returncode == 0
+
+
+def test_lack_of_address_space_of_memory_and_of_libraries_is_one_line(call, monkeypatch):
+    for megabytes in (50, 400):
+        done = process_in_shell("check", "scene", "simulation_1", prefix=f"ulimit -v {megabytes * 1024};")
+        limited = f"modsim3d: the address space is limited to {megabytes} MB (ulimit -v): "
+        told = f"{limited}at least 1024 MB are needed to load the libraries\n"
+        assert (done.returncode, done.stderr.decode()) == (2, told)
+    for error, part in (
+        (MemoryError(), "modsim3d: there is not enough memory"),
+        (ImportError("libx.so: failed to map segment"), "modsim3d: a library cannot be loaded: libx.so: failed to map"),
+    ):
+
+        def fail(*_: object, error: Exception = error, **__: object) -> None:
+            raise error
+
+        monkeypatch.setattr("modsim3d.scene.reading.load_scene", fail)
+        said = refusal(call, ("check", "scene", "simulation_1"))
+        assert said.startswith(part) and said.count("\n") == 1

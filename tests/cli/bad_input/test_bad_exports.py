@@ -29,7 +29,7 @@ def export(modsim3d: Modsim3d, run: Path, out: Path, *more: object) -> str:
     return said.err
 
 
-def test_masks_go_with_coco_alone_and_need_a_truth_in_pixels_of_the_image(modsim3d, run, tmp_path: Path) -> None:
+def test_masks_go_with_coco_and_pixels_of_the_image_alone_and_cameras_and_folders_must_be_free(modsim3d, run, tmp_path):
     for name in ("mot", "yolo"):
         said = export(modsim3d, run, tmp_path, "--format", name, "--masks")
         assert f"--masks goes with --format coco, not with {name}" in said
@@ -40,9 +40,6 @@ def test_masks_go_with_coco_alone_and_need_a_truth_in_pixels_of_the_image(modsim
     run_scene(load_scene(crossing(tmp_path, 2), supersample=2), tmp_path / "run")
     said = export(modsim3d, tmp_path / "run", tmp_path / "out", "--format", "coco", "--masks")
     assert "supersample 2: run the scene with --set annotation.supersample=1" in said
-
-
-def test_a_camera_that_is_not_there_and_a_folder_that_another_process_writes_are_told(modsim3d, run, tmp_path) -> None:
     for name in ("coco", "mot", "yolo"):
         assert "has no camera 'C7'; it has: C0" in export(modsim3d, run, tmp_path, "--format", name, "--camera", "C7")
     with locked_file(tmp_path / "predictions"):
@@ -100,15 +97,13 @@ def to_mcap(run: Path, folder: Path, *options: object) -> tuple[object, ...]:
     return ("export", run, "--format", "mcap", "--out", folder / "out", *options)
 
 
-def test_a_missing_library_is_named_with_the_command_that_installs_it(ros_run, call, tmp_path, monkeypatch) -> None:
+def test_a_missing_library_and_what_ros_cannot_say_are_told_before_any_writing(ros_run, call, tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
     assert len(refusal(call, to_mcap(ros_run, tmp_path), 'pip install "modsim3d[ros]"').splitlines()) == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_what_ros_cannot_say_is_told_before_anything_is_written(call: Call, tmp_path) -> None:
+    monkeypatch.undo()
     for number, (changes, part) in enumerate(
         (
             ({"timestamps": (-0.5, 0.0)}, "time -0.5 s: ROS knows times from 0 to 2147483647 s"),

@@ -33,9 +33,7 @@ TRUTH: dict[str, Any] = {
     "categories": [{"id": 1, "name": "boat"}],
     "annotations": [ENTRY | {"visible_fraction": 0.5, "distance_m": 80}],
 }
-RESULTS: list[dict[str, Any]] = [
-    {"image_id": 1, "category_id": 1, "bbox": BOX_PX, "score": 0.9, "probabilities": [1.0]},
-]
+RESULTS = [{"image_id": 1, "category_id": 1, "bbox": BOX_PX, "score": 0.9, "probabilities": [1.0]}]
 LINE, FOUND = "1,3,10,20,30,40,1,1,0.5\n", "1,-1,12,20,30,40,0.9\n"
 BOX, SEEN = "0 .5 .5 .1 .1\n", "0 .5 .5 .1 .1 .9\n"
 Refuse = Callable[..., str]
@@ -86,7 +84,7 @@ def test_a_frame_far_beyond_the_lines_is_refused_unless_seq_length_says_how_long
     assert len(read_pair("night", *pair, ReadOptions()).images) == 360_000
 
 
-def test_lines_of_mot_that_are_none_are_refused(tmp_path, refuse):
+def test_lines_of_mot_and_a_seqinfo_that_are_none_are_refused(tmp_path, refuse):
     for truth, found, part in (
         (LINE.replace(",3,", ",1e300,"), FOUND, "gt.txt line 1: identity must be at most 1e+15 (got 1e+300)"),
         (LINE.replace("1,1,0.5", "1,1e18,0.5"), FOUND.strip() + ",1e18\n", "class must be at most 10000 (got 1e+18)"),
@@ -95,12 +93,6 @@ def test_lines_of_mot_that_are_none_are_refused(tmp_path, refuse):
         (LINE + "1,1,1\n" * 20_000, FOUND, "10,000 in all so far; the rest was not read"),
     ):
         refuse(*mot(tmp_path, truth, found), part, options=SIZE)
-
-
-SIDES = "[Sequence]\nimWidth=640\nimHeight=480\n"
-
-
-def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse) -> None:
     for text, part in (
         ("root:x:0:0:secret\n", "needs imWidth and imHeight under [Sequence]"),
         (SIDES.replace("640", "%(imWidth)s"), "imWidth: must be above 0, and at most 1e+07"),
@@ -114,6 +106,9 @@ def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse) -> No
     ):
         (tmp_path / "seqinfo.ini").write_text(text)
         assert "secret" not in refuse(*mot(tmp_path), "seqinfo.ini", part)
+
+
+SIDES = "[Sequence]\nimWidth=640\nimHeight=480\n"
 
 
 def test_a_class_far_beyond_the_others_costs_one_class_and_many_problems_are_not_kept(tmp_path: Path) -> None:
@@ -323,9 +318,12 @@ COCO: dict[str, tuple[Any, tuple[object, ...], str]] = {
 }
 
 
-def test_a_mot_sequence_or_a_coco_file_that_cannot_be_worked_on_is_refused(refuse_truth):
+def test_a_truth_that_cannot_be_worked_on_is_refused_and_so_is_an_image_of_very_many_boxes(refuse_truth, monkeypatch):
     for truth, options, part in (*MOT.values(), *COCO.values()):
         refuse_truth(truth, options, part)
+    monkeypatch.setattr(video_targets, "MAX_BOXES", 3)
+    text = "".join(f"2,{track},10,20,30,40,1,1,1\n" for track in range(4))
+    refuse_truth(text, KNOWN, "image 'gt frame 2' has 4 boxes, and at most 3 can be compared")
 
 
 NEEDS: dict[str, tuple[str, str]] = {
@@ -362,18 +360,16 @@ def test_either_a_run_or_a_truth_is_given_and_options_of_the_other_are_refused(i
     assert not (tmp_path / "out").exists()
 
 
-def test_the_truth_is_not_written_over(call: Call, tmp_path: Path) -> None:
+def test_the_truth_is_not_written_over_and_wrong_lines_are_left_out_with_skip_bad(call, tmp_path):
     (tmp_path / "gt").mkdir()
     (tmp_path / "gt" / "gt.txt").write_text(LINE)
     line = ("detect", "--truth", tmp_path / "gt" / "gt.txt", *KNOWN, "--out", tmp_path, "--overwrite")
     refusal(call, line, "gt.txt is read by this command, so it is not written over")
     assert [path.name for path in tmp_path.iterdir()] == ["gt"]
-
-
-def test_an_image_of_very_many_boxes_is_refused(refuse_truth: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(video_targets, "MAX_BOXES", 3)
-    text = "".join(f"2,{track},10,20,30,40,1,1,1\n" for track in range(4))
-    refuse_truth(text, KNOWN, "image 'gt frame 2' has 4 boxes, and at most 3 can be compared")
+    (tmp_path / "gt.txt").write_text(LINE + "1,4,x\n")
+    line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "out")
+    refusal(call, line)
+    answer(call, (*line, "--skip-bad"), "1 entries left out, the first because gt.txt line 2: must be numbers")
 
 
 def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(call, refuse_truth, tmp_path) -> None:
@@ -385,13 +381,6 @@ def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(call, refuse_tr
     line = ("detect", "--truth", tmp_path / "gt.txt", *THESIS, *per_image, *size, "--out", tmp_path / "out")
     answer(call, line, "no box of the truth is to be detected: there are only false alarms")
     assert len((tmp_path / "out" / "det" / "det.txt").read_text().splitlines()) > 50
-
-
-def test_wrong_lines_are_left_out_with_skip_bad(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "gt.txt").write_text(LINE + "1,4,x\n")
-    line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "out")
-    refusal(call, line)
-    answer(call, (*line, "--skip-bad"), "1 entries left out, the first because gt.txt line 2: must be numbers")
 
 
 READ = ("id", "width", "height", "file_name", "time_s", "sequence", "bbox", "track_id", "visible_fraction")

@@ -85,15 +85,13 @@ def test_a_scene_of_a_thousand_vessels_and_a_hundred_thousand_poses_is_within_th
     assert len(load_json(path, "pose file", input_files.POSE_BYTES_PER_VALUE)) == 100
 
 
-def test_a_line_of_a_stream_and_steps_times_vessels_have_a_budget(inputs: Inputs, refused, monkeypatch) -> None:
+def test_pipes_and_devices_are_not_waited_for_and_lines_of_a_stream_have_a_budget(inputs, refused, monkeypatch):
     line = b'{"0.0": [' + b"[]," * 1_000_000 + b"[]]}\n"
     with pytest.raises(InputError, match=r"line 1: has 2,000,003 values \(commas and brackets\)"):
         list(read_steps([line], "poses from standard input", ["v"]))
     monkeypatch.setattr(input_files, "MAX_POSES", 7)
     refused(inputs.write(), "4 steps of 2 vessels are more than 7 poses: use fewer of either")
-
-
-def test_pipes_devices_and_sockets_are_refused_and_not_waited_for(inputs: Inputs, refused: Refused) -> None:
+    monkeypatch.undo()
     for file in ("scene", "vessels", "poses", "detector"):
         scene = inputs.write()
         inputs.path(file).unlink()

@@ -139,16 +139,8 @@ def mot(folder: Path) -> tuple[object, ...]:
     (folder / "det.txt").write_text("1,-1,12,20,30,40,0.9\n")
     text = "[Sequence]\nimWidth=640\nimHeight=480\nseqLength=1\nframeRate=10\n"
     (folder / "seqinfo.ini").write_text(text)
-    return (
-        "learn",
-        "--truth",
-        folder / "gt" / "gt.txt",
-        "--detections",
-        folder / "det.txt",
-        "--replicates",
-        20,
-        "--no-check",
-    )
+    files = ("--truth", folder / "gt" / "gt.txt", "--detections", folder / "det.txt")
+    return ("learn", *files, "--replicates", 20, "--no-check")
 
 
 @pytest.mark.parametrize(("make", "name"), [(yolo, "data.yaml"), (mot, "seqinfo.ini")])
@@ -161,10 +153,8 @@ def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path
 def test_neither_do_results_in_python_replace_what_they_are_made_of_or_what_is_there(run: Path, tmp_path) -> None:
     yolo(tmp_path / "set")
     paths = {"truth": tmp_path / "set" / "labels", "detections": tmp_path / "set" / "found"}
-    result, verified = (
-        modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20, check=False),
-        modsim3d.verify_run(run),
-    )
+    result = modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20, check=False)
+    verified = modsim3d.verify_run(run)
     result.write(tmp_path / "learned.yaml")
     verified.write()
     before = content(tmp_path)
