@@ -19,6 +19,7 @@ IMAGE_PX = (3600, 2400)
 ALL_SEA = (0.0, 0.0, 1.0)
 ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
 """A confusion matrix without misses and mistakes."""
+FOG = [[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]]
 MEAN_PX = [4.3, 6.8, -8.1, -0.9]
 COVARIANCE_PX2 = [[2354, 206, 1157, -169], [206, 390, -227, -389], [1157, -227, 5404, 115], [-169, -389, 115, 1225]]
 """The thesis's `excellent` state, Jessen & Mohr (2023), Table 9.3."""
@@ -48,11 +49,7 @@ def detector_data(**changes: Any) -> dict[str, Any]:
         "false_positives": {"model": "calibrated"},
         "states": {
             "clear": state_data(),
-            "fog": state_data(
-                confusion=[[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]],
-                false_discovery_rate=0.4,
-                confidence={"mean": 0.4, "std": 0.2},
-            ),
+            "fog": state_data(confusion=FOG, false_discovery_rate=0.4, confidence={"mean": 0.4, "std": 0.2}),
         },
     }
     return data | changes

@@ -1,5 +1,4 @@
-"""Box errors: normal, relative and mixed ones, redrawn where they leave no box, and what this truncation does to them;
-rows of points that lie in a tail of the normal distribution are worked out once, and no bit of a result changes."""
+"""Box errors: normal, Student's t, relative and mixed ones, and what redrawing those without a box does to them."""
 
 from typing import Any
 
@@ -12,11 +11,17 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams, grid_normals
 from modsim3d.detector import truncation
 from modsim3d.detector.box_error import BoxErrorSource, TrueBoxes
-from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, Normal, StudentT
+from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, Normal, StudentT, standardised
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import Detections
 from modsim3d.detector.truncation import truncated_errors
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step
+from modsim3d.verify.error_parameters import ErrorParameters
+from modsim3d.verify.evidence import ManyDetections
+from modsim3d.verify.verification import verify_evidence
 from tests.detector import detector_builders as build
+from tests.detector_variants import variant
 
 SEEN = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
 THESIS = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)
@@ -32,7 +37,7 @@ def misplaced(box_px: list[float], error: dict[str, Any], frames: int = 1, vesse
     return build.run(data, build.make_frames(frames), build.steady_targets(frames, vessels, box_px))
 
 
-def test_small_boxes_never_degenerate_and_are_redrawn_as_often_as_the_normal_says() -> None:
+def test_small_boxes_never_degenerate_and_a_detector_without_errors_gives_the_truth_or_a_pixel():
     found = misplaced(build.centred(20, 20), THESIS, frames=1000, vessels=20)
     assert len(found) == 20_000 and sizes(found.boxes_px).min() >= 1
     assert found.boxes_px.min() >= 0 and np.all(found.boxes_px[:, 2:] <= build.IMAGE_PX)
@@ -42,9 +47,6 @@ def test_small_boxes_never_degenerate_and_are_redrawn_as_often_as_the_normal_say
     assert abs(found.redrawn.mean() - p) < 4 * np.sqrt(p * (1 - p) / len(found))
     e_w, std = found.errors_px[:, 2], np.sqrt(build.COVARIANCE_PX2[2][2])
     assert e_w.min() >= -19 and e_w.mean() > build.MEAN_PX[2] + 100 * std / np.sqrt(len(e_w)), "wider than asked"
-
-
-def test_a_detector_without_errors_gives_the_truth_exactly_or_the_pixel_that_a_thinner_box_is_in() -> None:
     exact = [[10.25, 20.5, 30.125, 90.7], [0, 0, 3600, 2400], [0.1, 0.2, 1.1, 1.2], [3599, 2399, 3600, 2400]]
     thin = [
         ([10.4, 20.5, 10.7, 20.8], [10, 20, 11, 21]),
@@ -54,6 +56,8 @@ def test_a_detector_without_errors_gives_the_truth_exactly_or_the_pixel_that_a_t
     ]
     for box_px, expected in (*zip(exact, exact, strict=True), *thin):
         assert misplaced(box_px, build.no_error()).boxes_px.tolist() == [expected], box_px
+    found = misplaced([0, 1000, 200, 1200], build.box_error([-50, 0, 0, 0], np.zeros((4, 4))))
+    assert found.errors_px.tolist() == [[-50, 0, 0, 0]] and found.boxes_px.tolist() == [[0, 1000, 150, 1200]]
 
 
 @pytest.mark.parametrize("box_px", [[0, 0, 4, 4], [3599.7, 1200, 3600, 1201], [1800, 2399.5, 1900, 2400]])
@@ -61,11 +65,6 @@ def test_boxes_at_the_edge_stay_in_the_image_and_a_pixel_wide(box_px: list[float
     found = misplaced(box_px, THESIS, frames=300)
     assert len(found) == 300 and sizes(found.boxes_px).min() >= 1 and found.redrawn.any()
     assert found.boxes_px.min() >= 0 and np.all(found.boxes_px[:, 2:] <= build.IMAGE_PX)
-
-
-def test_errors_are_told_as_drawn_before_the_box_is_clipped() -> None:
-    found = misplaced([0, 1000, 200, 1200], build.box_error([-50, 0, 0, 0], np.zeros((4, 4))))
-    assert found.errors_px.tolist() == [[-50, 0, 0, 0]] and found.boxes_px.tolist() == [[0, 1000, 150, 1200]]
 
 
 def test_a_singular_covariance_moves_boxes_along_one_line_only() -> None:
@@ -146,7 +145,7 @@ def test_relative_errors_are_in_sides_of_the_box_and_mixed_ones_spread_with_them
     assert_moments(found.errors_px, np.array(MIXED["mean"]), asked * np.outer(grown, grown))
 
 
-def test_states_may_have_different_units() -> None:
+def test_states_may_have_different_units_and_thin_boxes_are_a_pixel_when_errors_are_relative():
     data = build.one_state_data(**SEEN)
     only = data["states"]["only"]
     states = {"px": only, "relative": only | {"box_error": RELATIVE}}
@@ -157,17 +156,12 @@ def test_states_may_have_different_units() -> None:
     sides = np.array([900, 500, 900, 500])
     covariance = RELATIVE["covariance"] * np.outer(sides, sides)
     assert_moments(found.errors_px[relative], RELATIVE["mean"] * sides, covariance)
-
-
-def test_thin_boxes_are_a_pixel_when_errors_are_relative() -> None:
     found = misplaced([100.2, 100.2, 100.5, 140.2], RELATIVE, 200, 10)
     assert np.all(found.boxes_px[:, 2:] - found.boxes_px[:, :2] >= 1)
 
 
-BOXES = [
-    *(build.centred(20, 20), build.centred(47, 67)),
-    *([0, 1000, 60, 1040], [3590, 1000, 3600, 1100], [1800, 2395, 1900, 2400]),
-]
+AT_EDGES = ([0, 1000, 60, 1040], [3590, 1000, 3600, 1100], [1800, 2395, 1900, 2400])
+BOXES = [build.centred(20, 20), build.centred(47, 67), *AT_EDGES]
 
 
 @pytest.mark.parametrize(("error", "box_px", "stray"), [
@@ -182,7 +176,7 @@ def test_truncated_moments_are_those_of_what_the_detector_draws(error, box_px, s
     assert abs(found.redrawn.mean() - (1 - asked.accepted[0])) < 0.015
 
 
-def test_redrawn_errors_and_truncated_moments_are_the_one_sided_normals_and_those_of_the_file_for_large_boxes() -> None:
+def test_truncated_moments_are_one_sided_normals_and_those_of_the_file_for_large_boxes():
     error = build.box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
     found = truncated_errors(source_of(error), 0, np.array([build.centred(11, 100)]), build.IMAGE_PX)
     law = stats.truncnorm(-10 / 20, np.inf, scale=20)
@@ -194,9 +188,6 @@ def test_redrawn_errors_and_truncated_moments_are_the_one_sided_normals_and_thos
     large = truncated_errors(source_of(THESIS), 0, np.array([build.centred(900, 900)]), build.IMAGE_PX)
     std = np.sqrt(np.diag(build.COVARIANCE_PX2))
     assert large.accepted[0] == 1 and np.all(np.abs(large.means[0] - build.MEAN_PX) < 0.01 * std)
-
-
-def test_moments_in_file_units_are_the_files_for_boxes_that_are_not_truncated() -> None:
     for error in (RELATIVE, MIXED):
         boxes = np.array([build.centred(500, 400), build.centred(900, 300)])
         found = truncated_errors(source_of(error), 0, boxes, build.IMAGE_PX, in_file_units=True)
@@ -254,3 +245,169 @@ def test_boxes_far_from_their_bounds_have_the_bits_of_the_plain_way(monkeypatch,
     near, away = (plain(2, wide, images[:1], growth, part * given, np.full((1, 2), 5.0)) for part in (1, 0.2))
     assert away and not near
     assert not truncation._uniforms(4, POINTS, 0, 2).flags.writeable  # kept for the next call
+
+
+NU = 6.0
+C = np.array(build.COVARIANCE_PX2, dtype=float)
+LARGE = build.centred(2400, 1800)
+
+
+def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
+    error = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)
+    return error | {"law": "student_t", "degrees_of_freedom": nu} | changes
+
+
+def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
+    model = parse_detector(build.one_state_data(**SEEN, box_error=error) | sections)
+    return build.detector(model).detect(build.make_frames(frames), build.steady_targets(frames, 20, box_px))
+
+
+@pytest.fixture(scope="module", params=[{}, {"persistence": {"box_s": 0.05}}], ids=["independent", "persistent"])
+def errors(request: pytest.FixtureRequest) -> np.ndarray:
+    found = drawn(t_error(), **request.param)
+    assert found.redrawn.mean() < 1e-4
+    return found.errors_px
+
+
+def test_errors_have_the_moments_lengths_and_kurtosis_of_a_t_law_with_scales_of_a_chi_square_number(errors):
+    worth, moved = len(errors) / 1.4, errors - build.MEAN_PX  # those that persist for 0.05 s count for fewer
+    assert np.all(np.abs(moved.mean(axis=0)) < 4 * np.sqrt(np.diag(C) / worth))
+    fourth = (NU - 2) / (NU - 4)  # of a t law over that of a normal one
+    variance = fourth * (2 * C**2 + np.outer(np.diag(C), np.diag(C))) - C**2
+    assert np.all(np.abs(np.cov(errors.T) - C) < 4 * np.sqrt(variance / worth))
+    q = np.einsum("ni,ij,nj->n", moved, np.linalg.inv(C * (NU - 2) / NU), moved)
+    sample = q[::401]  # of other vessels and far from each other in time
+    assert stats.kstest(q[::7] / 4, stats.f(4, NU).cdf).statistic < 0.02
+    assert stats.kstest(sample / 4, stats.f(4, NU).cdf).pvalue > 1e-4
+    nu, moved = 20.0, drawn(t_error(nu=20.0)).errors_px - build.MEAN_PX
+    eighth = 105 * (nu - 2) ** 3 / ((nu - 4) * (nu - 6) * (nu - 8))  # moment of a t number with variance one
+    standard_error = np.sqrt(eighth / len(moved))
+    kurtosis = stats.kurtosis(moved)
+    assert kurtosis == pytest.approx(np.full(4, 6 / (nu - 4)), abs=4 * standard_error)
+    assert kurtosis.min() > 2 * standard_error
+    levels = (np.arange(2000) + 0.5) / 2000
+    scales = StudentT(NU).scales(special.ndtri(levels)[:, None])
+    np.testing.assert_allclose(np.sort((NU - 2) / scales**2), stats.chi2(NU).ppf(levels))
+    many = StudentT(NU).scales(np.random.default_rng(0).standard_normal((400_000, 1)))
+    assert np.mean(many**2) == pytest.approx(1, abs=0.02)
+    normal = {"law": "normal", "degrees_of_freedom": None}
+    with_t, without = (drawn(t_error() | law, frames=200).errors_px - build.MEAN_PX for law in ({}, normal))
+    scale = with_t / without
+    np.testing.assert_allclose(scale, scale[:, :1] * np.ones(4), rtol=1e-6)
+    latent = np.random.default_rng(0).standard_normal((4000, 5))
+    np.testing.assert_allclose(standardised(StudentT(degrees_of_freedom=1e7), latent), latent[:, :4], rtol=1e-2)
+
+
+def test_a_t_law_in_one_state_leaves_the_bytes_of_another_alone_and_scales_persist_like_errors():
+    frames, targets = build.make_frames(300), build.steady_targets(300, 3, build.centred(30, 20))
+    plain, mixed = (
+        build.run(build.detector_data(states={"clear": build.state_data(), "fog": fog}), frames, targets)
+        for fog in (build.state_data(), build.state_data(box_error=t_error()))
+    )
+    clear = plain.states[plain.frame] == 0
+    assert np.array_equal(plain.errors_px[clear], mixed.errors_px[clear], equal_nan=True)
+    assert plain.redrawn[clear].any()
+    assert not np.array_equal(plain.errors_px[~clear], mixed.errors_px[~clear], equal_nan=True)
+    found = drawn(t_error(), frames=1500, persistence={"box_s": 1.0})
+    moved = build.by_frame(found, found.errors_px - build.MEAN_PX, 1500, 20)
+    lengths = np.log(np.einsum("tvi,ij,tvj->tv", moved, np.linalg.inv(C), moved))
+    near, far = (np.corrcoef(lengths[lag:].ravel(), lengths[:-lag].ravel())[0, 1] for lag in (1, 60))
+    assert near > 0.8 and abs(far) < 0.1
+
+
+TAIL_BOXES = np.array([[1800.0, 1200, 1840, 1212], [1800.0, 1200, 2200, 1500], [0.0, 700, 15, 790]])
+
+
+def law_of(nu: float) -> ErrorParameters:
+    state = parse_detector(build.one_state_data(box_error=t_error(nu))).states[0]
+    return ErrorParameters.of(state.box_error)
+
+
+@pytest.mark.parametrize("parameter", range(15))
+def test_scores_are_derivatives_of_the_t_density(parameter: int) -> None:
+    law, h = law_of(NU), 1e-5
+    x = np.random.default_rng(8).standard_normal((20, 4)) * 1.5
+    step = np.zeros(15)
+    step[parameter] = h
+
+    def log_density(moved: ErrorParameters) -> np.ndarray:
+        nu = moved.numbers()[-1]
+        scale = moved.std / law.std
+        shape = moved.correlation * np.outer(scale, scale) * (nu - 2) / nu
+        return np.asarray(stats.multivariate_t((moved.mean - law.mean) / law.std, shape, df=nu).logpdf(x))
+
+    slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
+    weights, _ = law.score_weights(TAIL_BOXES[:1])
+    found = law.statistics(x) @ weights[parameter]
+    np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
+
+
+def samples_of(law: ErrorParameters, copies: int, count: int) -> list[StateErrors]:
+    """Truncated errors of three boxes, so many of each, so many times over."""
+    boxes, rng, pools = np.repeat(TAIL_BOXES, copies, axis=0), np.random.default_rng(3), []
+    nu, images = law.numbers()[-1], np.tile(np.array(build.IMAGE_PX, float), (len(boxes), 1))
+    shape = law.correlation * np.outer(law.std, law.std) * (nu - 2) / nu
+    for box in TAIL_BOXES:
+        draws = stats.multivariate_t(law.mean, shape, df=nu).rvs(12 * copies * count, random_state=rng)
+        pools.append(draws[inside_image(move(box, draws), build.IMAGE_PX)])
+    samples = (np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]) for k in range(count))
+    return [StateErrors(sample, np.arange(len(boxes)), boxes, images) for sample in samples]
+
+
+def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error() -> None:
+    law, table, z = law_of(4.0), MomentTable(), []
+    for sample in samples_of(law, 60, 40):
+        step = fit_step(law, sample, table)
+        assert step is not None
+        z.append(step.step / step.errors)
+    assert np.abs(np.mean(z, axis=0)).max() < 4.2 / np.sqrt(40)
+    assert np.abs(np.std(z, axis=0) - 1).max() < 4.2 / np.sqrt(80)
+
+
+@pytest.fixture(scope="module")
+def many() -> ManyDetections:
+    return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
+
+
+@pytest.fixture(scope="module")
+def table(many: ManyDetections) -> MomentTable:
+    """What is expected of box errors over that truth, most of the work of `verify`."""
+    return MomentTable()
+
+
+def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, Any]:
+    data = variant("plain") | sections
+    for state in data["states"].values():
+        error = state["box_error"]
+        error.update(law="student_t", degrees_of_freedom=nu)
+        error["covariance"] = [[spread * value for value in row] for row in error["covariance"]]
+    return data
+
+
+def test_honest_seeds_and_errors_that_persist_obey_and_a_wrong_law_is_noticed_and_named(many, table):
+    """Standard errors that are a quarter too small are found by their spread, and hardly by whether seeds obey."""
+    model, z = parse_detector(t_data()), []
+    for seed in range(6):
+        found = verify_evidence(model, many.detect(model, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+        of_law = (v.parameter.measure for v in found.verdicts if ".box_error." in v.parameter.name)
+        z += [measure.z for measure in of_law if measure is not None]
+    assert len(z) > 150 and abs(np.mean(z)) < 4 / np.sqrt(len(z))
+    assert abs(np.std(z) - 1) < 4 / np.sqrt(2 * len(z))
+    model = parse_detector(t_data(persistence={"box_s": 0.5}))
+    measured = []
+    for seed in range(2):
+        found = verify_evidence(model, many.detect(model, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+        measured += [v.measured for v in found.verdicts if v.parameter.name == "persistence.box_s"]
+    standard_error = 0.045 / np.sqrt(2)
+    assert np.mean(measured) == pytest.approx(np.exp(-0.2 / 0.5), abs=4 * standard_error)
+    heavy = parse_detector(t_data())
+    for asked, made_with, named in (
+        (heavy, t_data(nu=60.0), "box_error.degrees_of_freedom"),
+        (heavy, t_data(spread=2.0), "box_error.std"),
+        (parse_detector(variant("plain")), t_data(nu=2.5), "box_error"),
+    ):
+        moments = table if asked is heavy else MomentTable()
+        failed = verify_evidence(asked, many.detect(parse_detector(made_with), 1), moments).failed
+        assert any(named in verdict.parameter.name for verdict in failed), named

@@ -1,4 +1,4 @@
-"""Where false positives come from, how many and how large, and how long those stay that persist."""
+"""Where false positives come from, how many, how large and for how long, on vessels too."""
 
 import itertools
 from typing import Any
@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.core.boxes import sizes
+from modsim3d.core.boxes import centres, sizes
+from modsim3d.core.errors import InputError
 from modsim3d.core.random_streams import Streams
+from modsim3d.detector import records
 from modsim3d.detector.false_positives import persistent_false_positives
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Detections
 from tests.detector import detector_builders as build
 
@@ -35,13 +38,10 @@ def count_per_frame(detections: Detections, frames: int) -> np.ndarray:
     return np.bincount(detections.frame[detections.kind == FALSE_POSITIVE], minlength=frames)
 
 
-def test_calibrated_counts_are_poisson() -> None:
+def test_calibrated_counts_are_poisson_and_one_more_vessel_only_adds_to_them():
     counts = count_per_frame(detected("calibrated", 0.25, build.same_boxes(20_000, 6, BOX)), 20_000)
     assert abs(counts.mean() - 2) < 4 * np.sqrt(2 / 20_000)
     assert abs(counts.var() - 2) < 4 * np.sqrt((2 + 2 * 4) / 20_000)  # fourth central moment 3λ² + λ, less λ²
-
-
-def test_calibrated_counts_what_was_detected_misclassified_or_not_and_one_more_vessel_only_adds_to_it() -> None:
     boxes, swapped, missed = build.same_boxes(500, 6, BOX), [[0, 1], [1, 0], [0, 0]], [[0, 0], [0, 0], [1, 1]]
     right, wrong, none = (detected("calibrated", 0.5, boxes, each) for each in (build.ALL_SEEN, swapped, missed))
     assert np.array_equal(count_per_frame(right, 500), count_per_frame(wrong, 500))
@@ -90,7 +90,7 @@ def test_false_positives_are_centred_below_the_horizon(kind: str) -> None:
     assert len(centre_y) > 1000 and 1500 <= centre_y.min() < 1510
 
 
-def test_false_positives_have_the_rate_and_labels_of_the_frames_state() -> None:
+def test_false_positives_have_the_rate_and_labels_of_the_state_and_keep_a_pixel():
     data = build.detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
     data["states"]["fog"]["false_positive_labels"] = [0.9, 0.1]
     found = build.run(data, build.make_frames(4000), build.steady_targets(4000, 6, build.centred(600, 600)))
@@ -102,16 +102,10 @@ def test_false_positives_have_the_rate_and_labels_of_the_frames_state() -> None:
         assert abs(np.sum(ours) / np.sum(state == index) - rate) < 4 * standard_error
         label_error = np.sqrt(second_label * (1 - second_label) / np.sum(ours))
         assert abs(found.label[ours].mean() - second_label) < 4 * label_error
-
-
-def test_a_vessel_named_like_a_number_shares_no_noise_with_false_positives() -> None:
     targets = build.steady_targets(500, 1, BOX, vessel_ids=["0"])
     found = build.run(build.one_state_data(false_discovery_rate=0.5), build.make_frames(500), targets)
     false = found.kind == FALSE_POSITIVE
     assert not np.intersect1d(found.confidence[false], found.confidence[~false & (found.confidence < 1)]).size
-
-
-def test_false_positives_of_tiny_vessels_keep_a_pixel() -> None:
     tiny = build.same_boxes(2000, 3, [3.0, 3.0, 3.2, 3.1])
     boxes = false_boxes(detected("calibrated", 0.7, tiny, image_px=(8, 6)))
     assert len(boxes) > 1000 and sizes(boxes).min() >= 1
@@ -149,15 +143,17 @@ def test_each_frame_shows_a_poisson_number_with_its_rate(rate: float, step_s: fl
     assert stats.chisquare(seen, np.append(law, 1 - law.sum()) * len(apart)).pvalue > 1e-4
 
 
-def test_numbers_follow_a_rate_that_changes_from_frame_to_frame() -> None:
+def test_numbers_follow_a_rate_that_changes_on_which_places_sizes_and_directions_do_not_depend():
     rates = np.where(np.arange(FRAMES) % 2, 0.3, 1.4)
     counts = np.bincount(watch(rates, 2.0).frame, minlength=FRAMES)
     for rate in (0.3, 1.4):
         ours = counts[rates == rate]
         assert abs(ours.mean() - rate) < 4 * np.sqrt(rate / len(ours) * 2 * 2.0 / 0.2)
-
-
-def test_places_sizes_and_directions_do_not_depend_on_the_rate_or_on_each_other() -> None:
+    counts = [len(watch(3.0, 5.0, frames=1, seed=seed).frame) for seed in range(250)]
+    assert abs(np.mean(counts) - 3) < 4 * np.sqrt(3 / 250)
+    seen = watch(0.0, 2.0, frames=10)
+    assert seen.uniforms.shape == (0, 5) and len(seen.frame) == len(seen.age_s) == len(seen.sign) == 0
+    assert watch(np.where(np.arange(400) < 200, 0.0, 2.5), 2.0, frames=400).frame.min() >= 200
     seen = watch(0.3, 0.5)
     _, births = np.unique(seen.uniforms[:, 0], return_index=True)
     numbers = np.column_stack([seen.uniforms[births], (seen.sign[births] + 1) / 2])
@@ -166,14 +162,6 @@ def test_places_sizes_and_directions_do_not_depend_on_the_rate_or_on_each_other(
     correlations = np.corrcoef(numbers.T)[np.triu_indices(6, 1)]
     assert np.abs(correlations).max() < 4.5 / np.sqrt(len(births))
     assert abs(numbers[:, 5].mean() - 0.5) < 4 * 0.5 / np.sqrt(len(births))
-
-
-def test_the_first_frames_are_no_emptier_than_later_ones_and_all_are_empty_at_a_rate_of_zero() -> None:
-    counts = [len(watch(3.0, 5.0, frames=1, seed=seed).frame) for seed in range(250)]
-    assert abs(np.mean(counts) - 3) < 4 * np.sqrt(3 / 250)
-    seen = watch(0.0, 2.0, frames=10)
-    assert seen.uniforms.shape == (0, 5) and len(seen.frame) == len(seen.age_s) == len(seen.sign) == 0
-    assert watch(np.where(np.arange(400) < 200, 0.0, 2.5), 2.0, frames=400).frame.min() >= 200
 
 
 def test_lifetimes_are_exponential_and_one_that_stays_keeps_its_numbers_and_grows_older() -> None:
@@ -221,3 +209,78 @@ def test_they_drift_along_the_horizon_at_their_speed() -> None:
     speeds = [abs(later[1] - earlier[1]) / (0.1 * (later[0] - earlier[0])) for earlier, later in pairs]
     assert len(speeds) > 200
     assert np.mean(np.isclose(speeds, 30, rtol=1e-6)) > 0.9  # but for those that turn or are cut at the edge
+
+
+VESSEL_FRAMES, VESSELS = 6000, 3
+LAW = {"share": 0.2, "mean": [0.1, -0.2, 0.3, -0.4], "std": [0.3, 0.1, 0.2, 0.4]}
+BOXES = np.array([[600.0 + 700 * k, 900, 700 + 700 * k, 940] for k in range(VESSELS)])
+
+
+def detector(lifetime_s: float = 0.0, missed: float = 0.5, **keys):
+    confusion = [[1 - missed, 0], [0, 1 - missed], [missed, missed]]
+    data = build.one_state_data(confusion=confusion, false_positives_per_image=0.0, box_error=build.no_error())
+    del data["states"]["only"]["false_discovery_rate"]
+    on = LAW | ({"lifetime_s": lifetime_s} if lifetime_s else {}) | keys
+    return data | {"false_positives": {"model": "per_image", "on_vessels": on}}
+
+
+def shown(lifetime_s: float = 0.0, missed: float = 0.5):
+    """Whether each vessel has one in each frame (frames, vessels), its place (..., 4), and all detections."""
+    targets = build.make_targets(np.tile(BOXES, (VESSEL_FRAMES, 1, 1)))
+    found = build.run(detector(lifetime_s, missed), build.make_frames(VESSEL_FRAMES), targets, 3)
+    rows = np.flatnonzero(found.kind == records.ON_VESSEL)
+    there, place = np.zeros((VESSEL_FRAMES, VESSELS), dtype=bool), np.full((VESSEL_FRAMES, VESSELS, 4), np.nan)
+    at = found.frame[rows], targets.vessel[found.target[rows]]
+    true, box = targets.boxes_px[found.target[rows]], found.boxes_px[rows]
+    there[at] = True
+    place[at] = np.hstack([(centres(box) - centres(true)) / sizes(true), np.log(sizes(box) / sizes(true))])
+    return there, place, found, targets
+
+
+def test_they_are_on_found_and_missed_vessels_alike_with_the_asked_place_size_and_share():
+    there, place, found, targets = shown()
+    error = np.sqrt(0.2 * 0.8 / there.size)
+    assert abs(there.mean() - 0.2) < 4 * error
+    seen = np.zeros(len(targets), dtype=bool)
+    seen[found.target[found.kind == records.TRUE]] = True
+    assert abs(there.ravel()[seen].mean() - there.ravel()[~seen].mean()) < 6 * error
+    values = place[there]
+    assert np.all(np.abs(values.mean(axis=0) - LAW["mean"]) < 4 * np.array(LAW["std"]) / np.sqrt(len(values)))
+    assert np.all(np.abs(values.std(axis=0) / LAW["std"] - 1) < 4 / np.sqrt(2 * len(values)))
+    assert np.all(np.abs(np.corrcoef(values.T) - np.eye(4)) < 4 / np.sqrt(len(values)))
+    assert np.all(found.false() == (found.kind == records.ON_VESSEL))
+    assert not np.any(found.gated)
+    # With 0.1 s between frames one is there in the next with e^(−1/τ) + (1 − e^(−1/τ)) · share.
+    there, place, _, _ = shown(lifetime_s=0.4)
+    kept = np.exp(-0.1 / 0.4)
+    inflation = (1 + kept) / (1 - kept)
+    assert abs(there.mean() - 0.2) < 4 * np.sqrt(0.16 * inflation / there.size)
+    again = there[1:][there[:-1]]
+    expected = kept + (1 - kept) * 0.2
+    assert abs(again.mean() - expected) < 4 * np.sqrt(expected * (1 - expected) / len(again))
+    both = there[1:] & there[:-1]
+    same = np.abs(place[1:][both] - place[:-1][both]).max(axis=1) < 1e-9
+    assert abs(same.mean() - kept / expected) < 4 * np.sqrt(0.25 / len(same))
+
+
+def test_nothing_else_changes_no_box_leaves_the_image_and_what_cannot_be_is_refused():
+    """Streams of their own: the other detections are those of the detector without them."""
+    targets = build.make_targets(np.tile([[1.0, 1.0, 40.0, 20.0]], (400, 1, 1)))
+    frames, data = build.make_frames(400), detector()
+    found = build.run(data, frames, targets, 5)
+    del data["false_positives"]["on_vessels"]
+    plain = build.run(data, frames, targets, 5)
+    others = found.kind != records.ON_VESSEL
+    assert np.array_equal(found.boxes_px[others], plain.boxes_px)
+    assert np.all(sizes(found.boxes_px) >= 1 - 1e-9) and np.all(found.boxes_px >= 0)
+    assert 0 < np.count_nonzero(~others) < 0.2 * 400 * 1.3
+    wrong = {
+        ".share": {"on_vessels": LAW | {"share": 1.0}},
+        ".std": {"on_vessels": LAW | {"std": [0.1, -0.1, 0.1, 0.1]}},
+        ": model calibrated counts those on vessels too": {"model": "calibrated"},
+    }
+    for message, change in wrong.items():
+        data = detector()
+        data["false_positives"] |= change
+        with pytest.raises(InputError, match=f"false_positives.on_vessels{message}"):
+            parse_detector(data)

@@ -1,5 +1,4 @@
-"""Confidence: by state, by kind, by looks, and by the precision and recall that it has to give; clipped normal numbers
-against integrals, differences and a general optimiser."""
+"""Confidence by state, kind, looks, precision and recall; clipped normal numbers against integrals and an optimiser."""
 
 import dataclasses
 from typing import Any
@@ -49,15 +48,12 @@ def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None
         assert abs(precision[np.searchsorted(recall, level)] - asked.at(np.array(level))) < 0.03
 
 
-def test_true_and_false_detections_have_their_own_confidence() -> None:
+def test_true_and_false_detections_have_their_own_confidence_straight_between_its_quantiles():
     _, found = detect({"true": {"mean": 0.7, "std": 0.05}, "false": {"mean": 0.4, "std": 0.04}})
     for kind, mean, std in ((~found.false(), 0.7, 0.05), (found.false(), 0.4, 0.04)):
         scores = found.confidence[kind]
         assert abs(scores.mean() - mean) < 4 * std / np.sqrt(len(scores))
         assert abs(scores.std() - std) < 4 * std / np.sqrt(2 * len(scores))
-
-
-def test_an_empirical_distribution_is_straight_between_its_quantiles() -> None:
     quantiles = [0.2, 0.3, 0.7, 0.75, 1.0]
     _, found = detect({"true": {"quantiles": quantiles}, "false": {"mean": 0.3, "std": 0}})
     levels = np.interp(found.confidence[~found.false()], quantiles, np.linspace(0, 1, 5))
@@ -67,7 +63,7 @@ def test_an_empirical_distribution_is_straight_between_its_quantiles() -> None:
     np.testing.assert_allclose(ends, [0.2, 0.5, 1.0], err_msg="the ends are reached")
 
 
-def test_confidence_falls_with_the_hidden_share() -> None:
+def test_confidence_falls_with_the_hidden_share_and_small_boxes_and_impossible_curves_between_recalls():
     same = {"mean": 0.9, "std": 0.02}
     targets, found = detect({"true": same, "false": same, "visibility_slope": 0.5})
     true = ~found.false()
@@ -76,9 +72,10 @@ def test_confidence_falls_with_the_hidden_share() -> None:
     error = 4 * 0.02 / np.sqrt(true.sum() / 12)
     assert abs(slope + 0.5) < error and abs(at_zero - 0.9) < error
     assert abs(found.confidence[~true].mean() - 0.9) < 4 * 0.02 / np.sqrt(np.sum(~true))
-
-
-def test_confidence_falls_with_each_halving_of_the_detectors_own_box_below_the_reference_size() -> None:
+    law, side_px = QuantileScores(np.array([0.9, 0.9])), np.array([16.0, 32.0, 64.0, 128.0])
+    for slope, lost in (({}, 0), ({"size_slope": 0.1}, [0.2, 0.1, 0, 0])):
+        scores = StateConfidence(law, law, **slope).score(np.full(4, 0.5), side_px < 0, np.full(4, 0.5), side_px)
+        np.testing.assert_allclose(scores, 0.9 - np.array(lost))
     # The boxes are 80 × 40: 40·√2 a side.
     for reference_px, halvings in ((320, 2.5), (160, 1.5), (20, 0)):
         keys = {"mean": 0.9, "std": 0.01, "size_slope": 0.1, "size_reference_px": reference_px}
@@ -88,16 +85,6 @@ def test_confidence_falls_with_each_halving_of_the_detectors_own_box_below_the_r
     keys = {"mean": 0.9, "std": 0.0, "size_slope": 0.1, "size_reference_px": 1024}
     _, found = detect(keys, box_error=build.box_error([0, 0, 40, 40], [[0] * 4] * 4), false_discovery_rate=0)
     np.testing.assert_allclose(found.confidence, 0.9 - 0.1 * np.log2(1024 / np.sqrt(120 * 80)))
-
-
-def test_confidence_is_its_laws_without_slopes_and_sizes_have_a_reference_of_64_px() -> None:
-    law, side_px = QuantileScores(np.array([0.9, 0.9])), np.array([16.0, 32.0, 64.0, 128.0])
-    for slope, lost in (({}, 0), ({"size_slope": 0.1}, [0.2, 0.1, 0, 0])):
-        scores = StateConfidence(law, law, **slope).score(np.full(4, 0.5), side_px < 0, np.full(4, 0.5), side_px)
-        np.testing.assert_allclose(scores, 0.9 - np.array(lost))
-
-
-def test_curves_that_no_detector_can_have_fall_between_two_recalls() -> None:
     assert all(PrecisionRecall.through(points).falls() is None for points in CURVES.values())
     curve = PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]])
     low, high = curve.falls() or (0.0, 0.0)
@@ -179,7 +166,6 @@ def test_sums_tell_ends_from_what_is_between_and_rows_are_fitted_one_by_one():
     rows = np.array([confidence.clipped_sums(sample, 0.2, 1).sum(axis=0) for sample in samples])
     together = confidence.fit_clipped(np.vstack([rows, np.zeros(5)]), 0.2, 1.0)
     for row in range(3):
-        np.testing.assert_allclose(
-            [column[row] for column in together], np.ravel(confidence.fit_clipped(rows[[row]], 0.2, 1.0)), atol=1e-8
-        )
+        fitted = np.ravel(confidence.fit_clipped(rows[[row]], 0.2, 1.0))
+        np.testing.assert_allclose([column[row] for column in together], fitted, atol=1e-8)
     assert np.isnan([column[3] for column in together]).all()

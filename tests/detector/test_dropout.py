@@ -63,7 +63,7 @@ def log_odds(targets: Targets) -> np.ndarray:
     return seen - np.log2(sides_of(targets) / 50) + 0.5 * np.log2(targets.depth_m / 100)
 
 
-def test_logistic_misses_have_the_probability_of_their_looks_and_labels_of_the_detected_keep_their_shares() -> None:
+def test_logistic_misses_have_the_probability_of_their_looks_and_a_table_multiplies_the_odds():
     targets = varied_targets()
     labels = labels_of(build.run(model_data(dropout=LOGISTIC), build.make_frames(FRAMES), targets), targets)
     missed, hard = labels < 0, log_odds(targets) > 1
@@ -76,10 +76,6 @@ def test_logistic_misses_have_the_probability_of_their_looks_and_labels_of_the_d
         for label, share in ((0, 1 / 8), (1, 1 / 7)):  # 0.1 of 0.1 + 0.7; 0.1 of 0.1 + 0.6
             seen = labels[rows & (targets.label == label) & ~missed]
             assert abs(np.mean(seen != label) - share) < 4 * np.sqrt(share * (1 - share) / len(seen))
-
-
-def test_table_multiplies_the_odds_in_each_range() -> None:
-    targets = varied_targets()
     missed = labels_of(build.run(model_data(dropout=TABLE), build.make_frames(FRAMES), targets), targets) < 0
     side = sides_of(targets)
     for low, high, odds in ((0, 20, 4), (20, 60, 2), (60, 9999, 1)):
@@ -119,7 +115,7 @@ def test_a_score_says_who_is_missed_and_how_sure_the_detector_is_and_labels_keep
     assert (classifier.classify_scored(frames, states, targets, uniforms, np.full(len(targets), 0.1))[0] == -1).all()
 
 
-def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is_and_all_odds_are_finite() -> None:
+def test_effects_of_nothing_leave_the_chain_as_it_is_and_a_slope_may_start_at_nothing_seen():
     plain, frames = varied_targets(400), build.make_frames(400)
     unknown = dataclasses.replace(plain, visible_fraction=np.full(400 * VESSELS, np.nan))
     for targets, effect in (
@@ -133,9 +129,6 @@ def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is_a
     thin = build.steady_targets(5, 1, [10, 10, 10, 10.5])
     thin.depth_m[:] = -3  # and near
     assert len(build.run(model_data(dropout=LOGISTIC), build.make_frames(5), thin).gated) == 5
-
-
-def test_a_slope_may_start_at_nothing_seen_and_without_an_anchor_no_part_of_a_scene_is_read() -> None:
     only, targets = {"model": "logistic", "visible_fraction": {"per_unit": -3, "reference": 0}}, varied_targets(50)
     added = parse_detector(model_data(dropout=only)).dropout.log_odds(np.zeros(len(targets), dtype=int), targets)
     np.testing.assert_allclose(added, -3 * targets.visible_fraction)
@@ -151,7 +144,7 @@ def gated(**gates: float) -> tuple[Targets, Detections]:
     return targets, build.run(data, build.make_frames(500), targets)
 
 
-def test_gates_keep_out_what_is_far_small_or_hidden_and_nothing_at_the_limit_or_of_unknown_visibility() -> None:
+def test_gates_keep_out_what_is_far_small_or_hidden_and_change_nothing_in_what_passes():
     targets, found = gated(max_range_m=500, min_box_px=12, max_occlusion=0.8)
     out = (targets.depth_m > 500) | (sizes(targets.boxes_px).min(axis=1) < 12) | (targets.visible_fraction < 0.2)
     assert 0.3 < out.mean() < 0.9 and np.array_equal(found.gated, out)
@@ -160,20 +153,16 @@ def test_gates_keep_out_what_is_far_small_or_hidden_and_nothing_at_the_limit_or_
     targets.depth_m[:], targets.visible_fraction[:] = [99.0, 100.0, 100.5], [np.nan, 0.75, 0.7]
     for gates in (Gates(min_box_px=20.0), Gates(max_range_m=100.0), Gates(max_occlusion=0.25)):
         assert gates.passed(build.make_frames(1), targets).tolist() == [True, True, False], gates
-
-
-def test_gates_change_nothing_in_what_passes_and_a_detector_without_gates_passes_everything() -> None:
     targets, some = gated(max_range_m=500)
     _, every = gated()
-    some_near, every_near = (
-        found.boxes_px[(found.kind == TRUE) & (targets.depth_m[found.target] <= 500)] for found in (some, every)
-    )
+    near = ((found.kind == TRUE) & (targets.depth_m[found.target] <= 500) for found in (some, every))
+    some_near, every_near = (found.boxes_px[rows] for found, rows in zip((some, every), near, strict=True))
     assert np.array_equal(some_near, every_near) and not every.gated.any()
     plain = model_data(states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
     assert build.all_bytes(every) == build.all_bytes(build.run(plain, build.make_frames(500), targets))
 
 
-def test_the_surest_detections_of_a_frame_are_put_out() -> None:
+def test_the_surest_detections_are_put_out_and_a_detector_with_an_interval_runs_at_the_first_frame():
     _, every = gated()
     _, some = gated(max_detections=4)
     assert np.bincount(some.frame).max() == 4
@@ -182,9 +171,6 @@ def test_the_surest_detections_of_a_frame_are_put_out() -> None:
         assert np.array_equal(np.sort(some.confidence[some.frame == frame])[::-1], surest)
     lost = np.setdiff1d(every.target[every.kind == TRUE], some.target[some.kind == TRUE])
     assert np.array_equal(np.flatnonzero(some.gated), lost)
-
-
-def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each() -> None:
     targets, data = varied_targets(200), model_data(gates={"update_interval_s": 0.6})
     for first_step, time_step_s in ((0, 0.2), (7, 0.2), (3, 0.7), (0, 1.3)):
         frames = build.make_frames(200, first_step=first_step, time_step_s=time_step_s)
@@ -226,7 +212,7 @@ def added_log_odds(targets: Targets, per_m: Any) -> np.ndarray:
     return -0.5 * np.log2(sides_of(targets) / 50) + per_m * (targets.depth_m - 200)
 
 
-def test_misses_follow_the_distance_as_each_state_says() -> None:
+def test_misses_follow_the_distance_as_each_state_says_at_its_rate_or_intercept():
     frames, targets = scene()
     found = run(own_data(), frames, targets)
     missed, state = labels_of(found, targets) < 0, found.states[targets.frame]
@@ -237,10 +223,6 @@ def test_misses_follow_the_distance_as_each_state_says() -> None:
             rows = (state == number) & (targets.depth_m >= low) & (targets.depth_m < low + 50)
             error = np.sqrt(np.mean(rate[rows] * (1 - rate[rows])) / rows.sum())
             assert rows.sum() > 300 and abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
-
-
-def test_anchored_misses_have_the_rate_of_each_state_on_average_over_the_scene() -> None:
-    frames, targets = scene()
     model = parse_detector(own_data(anchor="state_rate"))
     halves = [select(targets, rows) for rows in np.array_split(np.arange(len(targets)), [7000])]
     classifier = ConfusionClassifier.from_model(model, target_statistics(model, [(frames, half) for half in halves]))
@@ -248,10 +230,6 @@ def test_anchored_misses_have_the_rate_of_each_state_on_average_over_the_scene()
         rates = classifier.miss_rates(np.full(len(targets), state), targets)
         for label in range(2):
             assert abs(rates[targets.label == label].mean() - asked[label]) < 3.1e-5
-
-
-def test_an_intercept_makes_the_chance_of_a_miss_the_same_in_every_scene() -> None:
-    frames, targets = scene()
     model = parse_detector(own_data(intercept=[0.4, -1.0]))
     assert not model.needs_target_statistics
     near = dataclasses.replace(targets, depth_m=targets.depth_m / 4)
@@ -287,7 +265,7 @@ def test_an_own_effect_that_equals_the_shared_one_changes_nothing(anchor: str) -
     assert all_bytes(run(shared, frames, targets)) == all_bytes(run(same, frames, targets))
 
 
-def test_a_state_may_be_the_only_one_with_effects() -> None:
+def test_a_state_may_be_the_only_one_with_effects_and_needs_distances():
     model = parse_detector(data_with({"anchor": "state_rate"}, {"distance_m": FOG}))
     assert model.dropout.anchored and model.dropout.effects_of(0) == ()
     used = {each.key: each for each in used_models(model)}["states.fog.dropout.distance_m"]
@@ -295,6 +273,9 @@ def test_a_state_may_be_the_only_one_with_effects() -> None:
     frames, targets = scene(100)
     own = run(data_with({}, {"distance_m": FOG}), frames, targets)
     assert all_bytes(own) != all_bytes(run(detector_data(), frames, targets))
+    model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
+    with pytest.raises(InputError, match=r"--set detector\.states\.fog\.dropout\.distance_m=null$"):
+        check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))
 
 
 @pytest.mark.parametrize(("dropout", "fog", "message"), [
@@ -330,9 +311,3 @@ def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere()
     wrong["states"]["fog"]["dropout"]["distance_m"] = FOG | {"per_unit": 0.02}
     failed = {each.parameter.name for each in judge(class_checks(parse_detector(wrong), evidence)).failed}
     assert fogs in failed and "dropout.distance_m.per_unit" not in failed
-
-
-def test_boxes_without_a_distance_are_refused_with_what_leaves_out_the_effect_of_the_state() -> None:
-    model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
-    with pytest.raises(InputError, match=r"--set detector\.states\.fog\.dropout\.distance_m=null$"):
-        check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))

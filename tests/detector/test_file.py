@@ -84,19 +84,11 @@ BAD = [
     ("transition_matrix", [[1.0]], "transition_matrix: is 1 × 1, must be 2 × 2: one row and one column"),
     ("transition_matrix", [[1.0, 0.0], [1.0]], "transition_matrix: its rows have different lengths: 2, 1"),
     ("transition_matrix", [], "transition_matrix: is 0 × 0, must be 2 × 2"),
-    (
-        CONFUSION,
-        [[0.5, 0.2], [0.1, 0.4], [0.44, 0.4]],
-        "sums to 1.04, must sum to 1; to change misses alone, set miss_rate",
-    ),
+    (CONFUSION, [[0.5, 0.2], [0.1, 0.4], [0.44, 0.4]], "sums to 1.04, must sum to 1; to change misses alone, set miss"),
     (CONFUSION, [[50, 20], [10, 40], [40, 40]], "states.fog.confusion: has counts (50), must have shares of each true"),
     (CONFUSION, [[50, 20], [10, 40], [40, 40]], "; modsim3d learn --from-figures makes a detector file of a confusion"),
     (CONFUSION, [[0.5, 0.2], [0.5, 0.8]], "is 2 × 2, must be 3 × 2: rows"),
-    (
-        f"{ERROR}.std",
-        [0.1, 0.1],
-        "states.fog.box_error: std: a number from 0 is needed, or a list of one for each of e_x",
-    ),
+    (f"{ERROR}.std", [0.1, 0.1], "states.fog.box_error: std: a number from 0 is needed, or a list of one for each of"),
     (f"{ERROR}.std", -0.1, "for each of e_x, e_y, e_w, e_h (got -0.1)"),
     (CONFUSION, [[0.5, 0.2], [0.1, 0.4], [0.4, 0.401]], "states.fog.confusion: column 'motor' sums to 1.001"),
     (CONFUSION, [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]], "states.fog.confusion: is 2 × 3, must be 3 × 2"),
@@ -179,17 +171,11 @@ BAD = [
 ]
 
 
-def test_nearly_all_confidences_may_be_clipped() -> None:
+def test_nearly_all_confidences_may_be_clipped_and_every_bad_value_and_contradiction_is_told():
     model = parse_detector(changed(SCORES, {"mean": 1.3, "std": 0.2}), "detector")
     assert model.states[1].confidence.true == NormalScores(1.3, 0.2)
-
-
-def test_a_bad_value_is_told_with_its_path_and_what_would_be_right() -> None:
     for path, value, message in BAD:
         assert message in "\n".join(problems(changed(path, value))), (path, value)
-
-
-def test_every_problem_and_every_contradiction_between_sections_is_told_at_once() -> None:
     wrong = {
         "clear": build.state_data(false_discovery_rate=1.0, confidence={"mean": 0.5, "std": -1}),
         "fog": build.state_data(
@@ -221,22 +207,23 @@ def test_a_standard_deviation_is_short_for_a_covariance_in_whose_place_it_is(std
     assert both.mean.tolist() == list(build.MEAN_PX)
 
 
-def test_something_that_is_no_mapping_or_no_file_is_refused(tmp_path: Path) -> None:
+def test_something_that_is_no_mapping_or_no_file_is_refused_and_booleans_are_those_of_yaml(tmp_path):
     for data in (None, [], "thesis", 3):
         assert "must be a mapping with the keys labels" in problems(data)[0]
     with pytest.raises(InputError, match=r"nothing\.yaml"):
         load_detector(tmp_path / "nothing.yaml")
+    (tmp_path / "part.yaml").write_text("true: {mean: 0.7, std: 0.1}\nfalse: {mean: 0.4, std: 0.2}\n")
+    model = parse_detector(changed("states.fog.confidence", load_yaml(tmp_path / "part.yaml", "part")))
+    assert model.states[1].confidence.true == NormalScores(0.7, 0.1)
+    assert model.states[1].confidence.false.mean == 0.4  # type: ignore[attr-defined]
 
 
-def test_singular_and_zero_covariances_are_accepted_and_columns_that_lack_a_few_digits_are_completed() -> None:
+def test_singular_covariances_are_accepted_and_a_model_holds_what_the_mapping_says_read_only():
     for covariance in (np.outer([1, 2, 3, 4], [1, 2, 3, 4]), np.zeros((4, 4))):
         data = changed("states.fog.box_error", build.box_error([0, 0, 0, 0], covariance))
         assert np.array_equal(parse_detector(data).states[1].box_error.covariance, covariance)
     model = parse_detector(changed("states.fog.confusion", [[0.3333333, 0.2], [0.3333333, 0.4], [0.3333333, 0.4]]))
     assert abs(model.states[1].confusion.sum(axis=0) - 1).max() < 1e-15
-
-
-def test_a_model_holds_what_the_mapping_says_in_arrays_that_cannot_be_written_to() -> None:
     data = build.detector_data(initial_state="fog", transition_interval_s=5)
     del data["false_positives"]
     model = parse_detector(data)
@@ -249,9 +236,6 @@ def test_a_model_holds_what_the_mapping_says_in_arrays_that_cannot_be_written_to
     for array in (fog.confusion, fog.box_error.mean, fog.box_error.covariance):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
-
-
-def test_models_that_are_switched_off_leave_every_byte_of_the_plain_chain() -> None:
     data, targets, frames = build.detector_data(), scattered_targets(), build.make_frames(120)
     apart = copy.deepcopy(data) | OFF
     for state in apart["states"].values():
@@ -259,13 +243,6 @@ def test_models_that_are_switched_off_leave_every_byte_of_the_plain_chain() -> N
         state["confidence"] = {True: dict(normal), False: dict(normal), "visibility_slope": 0, "size_slope": 0}
     assert not parse_detector(apart).needs_target_statistics
     assert build.all_bytes(build.run(apart, frames, targets)) == build.all_bytes(build.run(data, frames, targets))
-
-
-def test_true_and_false_may_be_written_as_yaml_has_them(tmp_path: Any) -> None:
-    (tmp_path / "part.yaml").write_text("true: {mean: 0.7, std: 0.1}\nfalse: {mean: 0.4, std: 0.2}\n")
-    model = parse_detector(changed("states.fog.confidence", load_yaml(tmp_path / "part.yaml", "part")))
-    assert model.states[1].confidence.true == NormalScores(0.7, 0.1)
-    assert model.states[1].confidence.false.mean == 0.4  # type: ignore[attr-defined]
 
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -276,16 +253,13 @@ def load(name: str) -> DetectorModel:
     return load_detector(DETECTORS / f"{name}.yaml")
 
 
-def test_the_script_writes_every_detector_file_byte_for_byte(tmp_path: Path) -> None:
+def test_the_script_writes_every_detector_file_and_the_theses_hold_its_tables(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, ROOT / "script" / "make_detectors", tmp_path], check=True, env=environment)
     by_hand = {"coastal", "rich", "vessel"}
     shipped = {path.name: path.read_bytes() for path in DETECTORS.glob("*.yaml") if path.stem not in by_hand}
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == shipped
     assert len(shipped) == 4
-
-
-def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
     model = load("thesis")
     assert model.labels == ("Vessel",) and model.false_positives.model == "calibrated"
     assert [state.name for state in model.states] == ["excellent", "good", "bad", "terrible"]
@@ -295,16 +269,10 @@ def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
     assert model.states[3].box_error.mean.tolist() == [4.0, 8.2, -24.1, -8.9]
     assert model.transition_matrix[1, 0] == pytest.approx(0.0085)
     assert {state.confidence.true for state in model.states} == {NormalScores(0.67, 0.1)}
-
-
-def test_the_original_differs_in_its_false_positives_only() -> None:
     ours, original = (yaml.safe_load((DETECTORS / f"{n}.yaml").read_text()) for n in ("thesis", "thesis_original"))
     assert original.pop("false_positives") == {"model": "thesis"}
     del ours["false_positives"]
     assert ours == original
-
-
-def test_experiment_1_has_one_state_and_three_labels_a_full_confusion_matrix_in_each_of_two() -> None:
     model = load("three_labels")
     assert model.labels == ("sailboat", "motorboat", "ferry")
     assert [state.confusion.shape for state in model.states] == [(4, 3), (4, 3)]

@@ -81,7 +81,7 @@ def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     assert (larger.tolist(), smaller.tolist()) == ([[0, 0, 4, 2]], [[4, 0, 8, 2]])
 
 
-def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
+def test_a_merged_box_counts_for_both_vessels_and_what_is_false_has_the_confidence_of_false_ones():
     targets, found = detect([*PAIR, SQUARE], {"merges": 0.3}, false_discovery_rate=0)
     merged = found.kind == records.MERGED
     assert near(int(merged.sum()), FRAMES, 0.3)
@@ -96,9 +96,15 @@ def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
     assert np.sum(found.kind == records.MERGED) == FRAMES and np.sum(found.kind == records.TRUE) == FRAMES
     sources = np.sort([*found.target, *found.partner[found.partner >= 0]])
     assert np.array_equal(sources, np.arange(len(targets)))
+    keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5, "persistence": {"lifetime_s": 1, "share": 0.5}}
+    apart = {"true": {"mean": 0.8, "std": 0}, "false": {"mean": 0.4, "std": 0}}
+    _, found = detect([LONG, SQUARE, *PAIR], keys | {"size": {"model": "fixed", "px": [9, 9]}}, confidence=apart)
+    assert set(found.kind) == {*range(len(records.KINDS))} - {records.ON_VESSEL}
+    assert np.array_equal(found.confidence == 0.4, found.false())
+    assert np.array_equal(found.confidence == 0.8, ~found.false())
 
 
-def test_vessels_that_hardly_overlap_are_not_merged_nor_those_apart_however_little_is_asked() -> None:
+def test_merges_need_overlap_are_not_split_and_gate_both_vessels():
     apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
     sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
     overlaps = ((PAIR, 0.51, 0.49), (sliver, 0.0051, 0.00499), (apart, 1e-6, None))
@@ -108,9 +114,6 @@ def test_vessels_that_hardly_overlap_are_not_merged_nor_those_apart_however_litt
         if little_enough:
             _, found = detect(boxes, {"merges": 1.0, "merge_overlap": little_enough})
             assert np.all(found.kind[found.kind != records.FALSE_POSITIVE] == records.MERGED), boxes
-
-
-def test_a_merge_belongs_to_two_vessels_whoever_is_larger_and_if_none_is_to_the_first() -> None:
     boxes = np.tile(PAIR, (200, 1, 1))
     swapped = boxes.copy()
     swapped[::2] = boxes[::2, ::-1]
@@ -118,34 +121,16 @@ def test_a_merge_belongs_to_two_vessels_whoever_is_larger_and_if_none_is_to_the_
     assert np.array_equal(one.frame[one.kind == records.MERGED], two.frame[two.kind == records.MERGED])
     targets, found = detect([PAIR[0], PAIR[0]], {"merges": 1.0}, false_discovery_rate=0)
     assert np.all(targets.vessel[found.target] == 0)
-
-
-def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> None:
-    keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5, "persistence": {"lifetime_s": 1, "share": 0.5}}
-    apart = {"true": {"mean": 0.8, "std": 0}, "false": {"mean": 0.4, "std": 0}}
-    _, found = detect([LONG, SQUARE, *PAIR], keys | {"size": {"model": "fixed", "px": [9, 9]}}, confidence=apart)
-    assert set(found.kind) == {*range(len(records.KINDS))} - {records.ON_VESSEL}
-    assert np.array_equal(found.confidence == 0.4, found.false())
-    assert np.array_equal(found.confidence == 0.8, ~found.false())
-
-
-def test_merged_box_is_neither_split_nor_doubled_whichever_row_its_smaller_vessel_has() -> None:
     keys = {"merges": 1.0, "splits": 0.5, "duplicates": 0.4}
     for seed in range(20):
         _, found = run(keys, np.array([PAIR]), seed, false_discovery_rate=0.5)
         assert set(found.kind) <= {records.MERGED, records.FALSE_POSITIVE}
         assert found.partner[found.kind == records.MERGED].tolist() == [0]
-
-
-def test_first_draws_of_parts_and_false_positives_do_not_count_as_resampled() -> None:
     wide = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([1.0, 1.0, 150.0**2, 1.0]).tolist()}
     _, found = detect([LONG], {"splits": 0.5}, box_error=wide, false_discovery_rate=0.4)
     assert found.redrawn[np.isin(found.kind, (records.TRUE, records.SPLIT))].any()
     assert (found.kind == records.FRAGMENT).any()
     assert not found.redrawn[~np.isin(found.kind, (records.TRUE, records.SPLIT))].any()
-
-
-def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
     boxes = np.tile(np.array([*PAIR, SQUARE]), (50, 1, 1))
     targets, found = run({"merges": 1.0}, boxes, gates={"max_detections": 1}, false_discovery_rate=0)
     merged = set(found.frame[found.kind == records.MERGED].tolist())

@@ -26,7 +26,7 @@ WITHOUT_CHECKS: set[tuple[DetectorPart, str]] = set()
 WITHOUT_LEARNER = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES, "thesis")}
 
 
-def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here() -> None:
+def test_every_registered_model_is_drawn_checked_and_learned_or_named_and_another_an_error():
     assert set(MODELS) == set(CHECKED) == set(LEARNERS) == set(DetectorPart)
     assert all(MODELS.values())
     assert Normal().extra_normals == 0 < StudentT(3.0).extra_normals  # numbers drawn beside the four errors
@@ -37,9 +37,6 @@ def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here()
         assert (name in LEARNERS[part]) != ((part, name) in WITHOUT_LEARNER), (part, name)
         (learner,) = [each for *model, each in models_and_learners() if model == [part, name]]
         assert (learner is None) == ((part, name) in WITHOUT_LEARNER), (part, name)
-
-
-def test_the_models_of_a_detector_are_registered_and_another_is_an_error_that_names_them() -> None:
     for name in CHANGES:
         used = list(used_models(parse_detector(variant(name))))
         assert {each.part for each in used} == set(DetectorPart), name
@@ -58,7 +55,7 @@ class EverySecondFrame(PerImage):
         return super().means(rates, frames) * (np.arange(len(frames.states)) % 2)
 
 
-def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_and_parts_of_states_without_checks_are_listed_as_unchecked(monkeypatch):
     monkeypatch.setitem(cast(dict[str, Any], FALSE_POSITIVE_MODELS), "fourth", EverySecondFrame())
     sizes = {"model": "fixed", "px": [20, 10]}
     data = one_state_data() | {"false_positives": {"model": "fourth", "rate": 2.0, "size": sizes}}
@@ -73,9 +70,6 @@ def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: py
     assert "'fourth'" in parameter.note
     names = [each.parameter.name for each in verdicts]
     assert not [name for name in names if "false discovery rate" in name or "false_positives_per_image" in name]
-
-
-def test_parts_of_a_state_without_checks_are_listed_state_by_state(monkeypatch):
     model = parse_detector(variant("plain"))
     for part in (DetectorPart.BOX_ERROR, DetectorPart.CONFIDENCE):
         with monkeypatch.context() as patch:

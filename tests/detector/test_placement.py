@@ -33,7 +33,7 @@ def below(points: np.ndarray, sea: tuple[float, float, float]) -> np.ndarray:
     return (a * points[:, 0] + b * points[:, 1] + c) / np.hypot(a, b)
 
 
-def test_a_band_holds_all_of_them_and_evenly_and_one_outside_the_image_is_no_place_there() -> None:
+def test_a_band_holds_all_of_them_evenly_and_the_density_halves_as_asked_in_both_ways():
     for sea in (LEVEL, TILTED):
         found = places(Placement(band_px=120), sea)
         depth = false_positive_placement.depths_px(np.tile(sea, (len(found), 1)), found)
@@ -43,16 +43,10 @@ def test_a_band_holds_all_of_them_and_evenly_and_one_outside_the_image_is_no_pla
     for sea in ((0.0, 1.0, 500.0), (0.0, 1.0, -9000.0), (0.0, 0.0, 1.0), (0.0, 1.0, -2400.0)):
         found = places(Placement(band_px=30, far_half_px=50), sea, 500)
         assert np.all((found >= 0) & (found <= build.IMAGE_PX)) and not np.isnan(found).any(), sea
-
-
-def test_the_density_halves_as_asked_and_along_the_horizon_they_are_spread_evenly() -> None:
     found = places(Placement(far_half_px=90), LEVEL)
     truncated = stats.truncexpon(1600 / (90 / np.log(2)), scale=90 / np.log(2))
     assert stats.kstest(below(found, LEVEL), truncated.cdf).pvalue > 1e-4
     assert stats.kstest(found[:, 0] / build.IMAGE_PX[0], "uniform").pvalue > 1e-4
-
-
-def test_the_level_way_and_the_plain_way_spread_alike() -> None:
     # Persistent ones are placed level by level, others by area: the same distribution over a tilted sea.
     still = places(Placement(), TILTED, drift_px=np.zeros(6_000))
     plain = places(Placement(), TILTED)
@@ -61,7 +55,7 @@ def test_the_level_way_and_the_plain_way_spread_alike() -> None:
         assert stats.ks_2samp(still[:, axis], plain[:, axis]).pvalue > 1e-4
 
 
-def test_a_map_gives_each_cell_its_weight() -> None:
+def test_a_map_gives_each_cell_its_weight_and_drift_follows_the_horizon_and_turns_at_the_edge():
     density = np.array([[0.0, 1.0, 3.0], [2.0, 0.0, 4.0]])
     found = places(Placement(density=density), LEVEL)
     assert not np.any(1024 * found % 1) and np.any(512 * found % 1)  # on the grid, and on no coarser one
@@ -75,9 +69,6 @@ def test_a_map_gives_each_cell_its_weight() -> None:
     for drift_px, x in ((None, [0, 600, 500]), (np.array([10.0, -20, 400]), [10, 580, 700])):  # the last turns
         found = placement.places(np.tile(HORIZONS[0], (3, 1)), (800, 600), uniforms, drift_px)
         np.testing.assert_array_equal(found, np.column_stack([x, [0, 150, 525]]))
-
-
-def test_drift_follows_the_horizon_and_turns_at_the_edge_of_the_image() -> None:
     start = places(Placement(), TILTED, 300, drift_px=np.zeros(300))
     later = places(Placement(), TILTED, 300, drift_px=np.full(300, 40.0))
     np.testing.assert_allclose(below(later, TILTED), below(start, TILTED), atol=2 * PLACE_STEP_PX)
@@ -119,7 +110,7 @@ def inner_sizes(found: Detections) -> np.ndarray:
     return sizes(boxes[np.all((boxes > 0) & (boxes < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)])
 
 
-def test_sizes_are_fixed_or_lognormal_as_asked() -> None:
+def test_sizes_are_as_asked_and_many_places_at_once_those_of_each():
     fixed = inner_sizes(detect({"model": "calibrated", "size": FIXED}))
     np.testing.assert_allclose(fixed, np.tile([30.0, 20.0], (len(fixed), 1)))
     spread = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
@@ -128,18 +119,12 @@ def test_sizes_are_fixed_or_lognormal_as_asked() -> None:
     assert abs(logs.mean()) < 4 * 0.3 / np.sqrt(len(logs)) + 0.01  # large ones are cut at the edge a little more
     assert abs(logs.std() - 0.3) < 0.02
     np.testing.assert_allclose(varied[:, 0] / varied[:, 1], 2)
-
-
-def test_sizes_come_from_all_of_the_scenes_boxes_where_a_frame_may_have_none_or_must_be_given() -> None:
     found = inner_sizes(detect({"model": "per_image", "rate": 2}))
     wide = np.isclose(found, [200, 50], rtol=0.045).all(axis=1)
     np.testing.assert_allclose(found[~wide], np.tile([80, 40], (np.sum(~wide), 1)), rtol=0.045)
     assert abs(wide.mean() - 1 / 6) < 4 * np.sqrt(5 / 36 / len(wide))
     with pytest.raises(ModsimError, match="give false_positives a size"):
         detect({"model": "per_image", "rate": 2}, vessels=0)
-
-
-def test_many_places_at_once_are_those_of_each() -> None:
     planes, uniforms = np.tile(HORIZONS, (4, 1)), np.random.default_rng(8).random((20, 3))
     options = ({}, {"band_px": 100.0}, {"far_half_px": 60.0}, {"band_px": 80.0, "far_half_px": 30.0})
     for placement, moved in itertools.product([Placement(**each) for each in options], (None, np.full(20, 300.0))):
@@ -148,9 +133,6 @@ def test_many_places_at_once_are_those_of_each() -> None:
             one = slice(row, row + 1)
             alone = placement.places(planes[one], (800, 600), uniforms[one], None if moved is None else moved[one])
             np.testing.assert_array_equal(together[one], alone, f"{placement}")
-
-
-def test_place_below_a_level_horizon_is_its_uniform_numbers_share_of_the_width_and_of_the_density() -> None:
     uniforms = np.stack(np.meshgrid(np.linspace(0, 0.999, 12), np.linspace(0, 0.999, 9), [0.3]), axis=-1).reshape(-1, 3)
     planes = np.tile(HORIZONS[0], (len(uniforms), 1))
     x, y = Placement(band_px=80.0).places(planes, (800, 600), uniforms).T
@@ -167,7 +149,7 @@ def test_place_below_a_level_horizon_is_its_uniform_numbers_share_of_the_width_a
     np.testing.assert_allclose(moved[~free, 0], expected, atol=PLACE_STEP_PX)
 
 
-def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
+def test_levels_at_shares_are_those_of_interpolation_and_meet_a_polygon_where_a_line_does():
     rng = np.random.default_rng(9)
     weights, nodes, uniforms = rng.random((50, 20)), np.sort(rng.random((50, 20)), axis=1), rng.random(50)
     uniforms[:2] = 0.0, 0.001
@@ -175,9 +157,6 @@ def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
     for found, weight, node, share in zip(levels, weights, nodes, uniforms, strict=True):
         area = np.append(0, np.cumsum((weight[1:] + weight[:-1]) / 2 * np.diff(node)))
         assert found == pytest.approx(np.interp(share, area / area[-1], node))
-
-
-def test_level_meets_a_polygon_where_a_line_does() -> None:
     polygons = sea_polygons(np.array(HORIZONS[:4]), (800, 600))
     levels = (0.0, 20.0, 150.0, 299.0, 590.0, 700.0)
     lows, highs = false_positive_placement._slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))

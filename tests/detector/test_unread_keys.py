@@ -1,5 +1,4 @@
-"""A key of a detector file changes the detections, or nothing reads it and that is said; the page about detector files
-knows every key, and its examples are right."""
+"""A key of a detector file changes the detections, or is said not to be read; the page knows every key."""
 
 import copy
 import re
@@ -25,7 +24,7 @@ from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.settings import Setting, changed
 from tests.detector import detector_builders as build
 from tests.detector.detector_builders import all_bytes, detector_data, state_data
-from tests.detector.test_rich import STEP_S, rich_frames, rich_targets
+from tests.detector.test_states import STEP_S, rich_frames, rich_targets
 from tests.detector_variants import CHANGES, variant
 
 SKEWED = [[0.002, 0, 0, 0], [0, 0.001, 0, 0], [0, 0, 0.003, 0], [0, 0, 0, 0.001]]
@@ -182,7 +181,7 @@ def test_an_unread_key_is_told_with_the_one_that_works() -> None:
         assert works in reason, key
 
 
-def test_a_dead_line_of_a_file_is_told_and_no_shipped_file_has_one() -> None:
+def test_a_dead_line_is_told_no_shipped_file_has_one_and_keys_beside_their_switch_are_not_refused():
     data = two_states(**PER_IMAGE)
     data["states"]["fog"] |= {"false_discovery_rate": 0.3}
     data["persistence"] = {"merge_s": 2}
@@ -193,22 +192,16 @@ def test_a_dead_line_of_a_file_is_told_and_no_shipped_file_has_one() -> None:
     data["false_positives"]["rate"] = 0.3
     (reason,) = unread_settings(parse_detector(data), ["false_positives"]).values()
     assert reason.startswith("false_positives.rate: each state has a rate of its own"), "a section with a dead line"
-
-
-def test_a_key_is_not_refused_beside_the_one_that_switches_it_on_or_off() -> None:
     model = parse_detector(two_states(false_positives={"model": "calibrated", "merges": 0.0, "merge_overlap": 0.5}))
     overlap, merges = "false_positives.merge_overlap", "false_positives.merges"
     assert unread_settings(model, [overlap])
     assert not unread_settings(model, [overlap, merges]) and not unread_settings(model, [overlap], [merges])
-
-
-def test_a_model_that_does_not_read_the_false_discovery_rate_needs_none() -> None:
     state = parse_detector(two_states(**PER_IMAGE)).states[0]
     assert np.isnan(state.false_discovery_rate)
     assert repr(state) == "<PerformanceState clear: 0.4 false positives an image>"
 
 
-def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else() -> None:
+def test_the_operating_threshold_drops_what_is_below_it_and_every_key_is_in_the_table_of_the_page():
     data = load_yaml(shipped_detectors()["rich"], "detector")
     whole, above = run(data), run(data | {"operating_threshold": 0.5})
     kept = whole.confidence >= 0.5
@@ -221,6 +214,14 @@ def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else()
     found = run(data)  # at the confidence threshold it drops nothing
     assert (found.confidence == 0.2).any()
     assert all_bytes(found) == all_bytes(run(data | {"operating_threshold": 0.2}))
+    table = PAGE.split("## Every key")[1].split("\n## ")[0]
+    words = set(re.findall(r"[a-z_]+", " ".join(re.findall(r"`([^`]+)`", table))))
+    assert not set(keys(DetectorFile)) - words
+    assert all(f"`{kind}`" in PAGE for kind in KINDS)
+    (block,) = re.findall(r"```yaml\n(dropout:\n.*?)```", PAGE, flags=re.DOTALL)
+    model = parse_detector(detector_data(**yaml.safe_load(block)))
+    assert model.dropout.anchored and len(model.dropout.effects) == 2
+    assert f"in {len(shipped_detectors()['rich'].read_text().splitlines())} lines" in PAGE
 
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
@@ -238,17 +239,3 @@ def keys(model: type[BaseModel]) -> Iterator[str]:
         yield name
         for section in sections(field.annotation):
             yield from keys(section)
-
-
-def test_every_key_of_a_detector_file_is_in_the_table_and_every_kind_of_detection_is_explained() -> None:
-    table = PAGE.split("## Every key")[1].split("\n## ")[0]
-    words = set(re.findall(r"[a-z_]+", " ".join(re.findall(r"`([^`]+)`", table))))
-    assert not set(keys(DetectorFile)) - words
-    assert all(f"`{kind}`" in PAGE for kind in KINDS)
-
-
-def test_the_example_of_dropout_is_right_and_the_example_file_as_long_as_the_page_says() -> None:
-    (block,) = re.findall(r"```yaml\n(dropout:\n.*?)```", PAGE, flags=re.DOTALL)
-    model = parse_detector(detector_data(**yaml.safe_load(block)))
-    assert model.dropout.anchored and len(model.dropout.effects) == 2
-    assert f"in {len(shipped_detectors()['rich'].read_text().splitlines())} lines" in PAGE
