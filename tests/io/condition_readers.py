@@ -28,9 +28,8 @@ from modsim3d.scene.ais.traffic import read_traffic
 from tests.formats.labelled_files import CHANGES, HEIGHT, WIDTH, Video, coco, mot, yolo
 from tests.learn.voyage.test_logs_as_written import bag
 from tests.scene.ais.ais_builders import OLD_HEADER
-from tests.tracks.sea_runs import CROSSER, PLACES_M, TIMES_S, VELOCITIES_M_S, sea_run
 from tests.tracks.test_world_tracks import odometry, write_bag
-from tests.tracks.track_files import detected_tracks, top_left
+from tests.tracks.track_files import CROSSER, PLACES_M, TIMES_S, VELOCITIES_M_S, detected_tracks, sea_run, top_left
 
 Row = dict[str, str]
 Reading = tuple[Any, tuple[str, ...]]

@@ -1,8 +1,4 @@
-"""Files whose numbers parse but cannot be what their columns say: no reader takes one of them without a word.
-
-Each reader has a small file that is right, as rows of raw text by role. Each condition spoils all values of a role, or
-the text of the whole file. The file is then refused, or a note says what is odd, or what was meant is read.
-"""
+"""Files whose numbers parse but cannot be what their columns say: no reader takes one of them without a word."""
 
 import math
 import os
@@ -297,7 +293,8 @@ def page(outcomes: dict[tuple[str, str], str]) -> str:
 
 
 def test_no_file_is_misread_without_a_word(tmp_path: Path) -> None:
-    """The page has the outcomes: with MODSIM3D_WRITE_PAGE=1 they are written there, to be looked at and committed."""
+    """Each condition spoils a role or the text of a right file, which is then refused, noted or read as meant. The page
+    has the outcomes: with MODSIM3D_WRITE_PAGE=1 they are written there, to be looked at and committed."""
     outcomes: dict[tuple[str, str], str] = {}
     for place, (name, reader) in enumerate(all_readers(tmp_path).items()):
         folder = tmp_path / str(place)

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "tests" / "plugin_example"
 MODULE = (EXAMPLE / "modsim3d_drift.py").read_text(encoding="utf-8")
 DOCUMENT = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n## A tracker\n")[0]
-"""The sections before that of trackers, whose package tests/tracking/test_plugged_in.py tests."""
+"""The sections before that of trackers, whose package tests/tracking/test_programs.py tests."""
 DRIFT = {"drift": {"current_m_s": [0.5, 0.1], "gap_m": 30}}
 __all__ = ["site"]  # a fixture
 
@@ -45,15 +45,12 @@ def scene_with(folder, poses=None, waves=None, steps=5):
     return path
 
 
-def test_the_document_quotes_the_package_that_is_tested_of_which_each_part_is_ten_lines_or_fewer():
+def test_the_documents_package_is_the_tested_one_and_a_real_process_runs_it_with_workers(site, tmp_path):
     assert blocks("toml") == [(EXAMPLE / "pyproject.toml").read_text(encoding="utf-8")]
     assert blocks("python") == [MODULE]
     parts = MODULE.split("\n\n\n")[1:]
     assert [part.split("(")[0] for part in parts] == ["class Drift", "SWELL = ", "def barge"]
     assert max(len(part.strip().splitlines()) for part in parts) <= 10
-
-
-def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
     site.add_project(EXAMPLE)
     found, plugin = load_plugin(POSE_SOURCES, "drift", "poses.drift")
     assert (found.__name__, str(plugin)) == ("Drift", "the plug-in 'drift' of modsim3d-drift 1.0")
@@ -63,10 +60,6 @@ def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
     np.testing.assert_allclose(poses.positions_m[:, 0], [[0.5 * t, 0.1 * t, 0] for t in range(5)])
     np.testing.assert_allclose(poses.positions_m[:, 1], [[0.5 * t, 0.1 * t + 30, 0] for t in range(5)])
     assert scene.timestamps(0, 3) == ("0.0", "1.0", "2.0")
-
-
-def test_a_real_process_runs_it_with_workers_and_records_its_version(site, tmp_path):
-    site.add_project(EXAMPLE)
     path = scene_with(tmp_path, DRIFT, steps=600)
     run_scene(load_scene(path), tmp_path / "here")
     options = ["--out", str(tmp_path / "two"), "--no-sheet", "--workers", "2"]

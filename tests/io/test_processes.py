@@ -68,13 +68,30 @@ def test_what_goes_wrong_in_a_worker_is_told(count, set_up, argument, work, erro
         work_with(count, set_up, argument, work)
 
 
-def test_a_worker_whose_argument_a_new_interpreter_cannot_import_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_say_what_they_cannot_import_closing_waits_for_none_and_arguments_are_copied_first(monkeypatch):
     monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
     plugin = ModuleType("plugin_of_this_process")
     exec("class Choice: pass", plugin.__dict__)
     monkeypatch.setitem(sys.modules, plugin.__name__, plugin)
     with pytest.raises(ModuleNotFoundError, match="plugin_of_this_process"):
         work_with(2, open_argument, plugin.Choice())
+    monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
+    argument = ToldByOthers()
+    with open_workers(2, "try again", open_argument, argument, here_too=True) as workers:
+        asked_by = list(argument.asked_by)
+        assert list(workers.map(times, range(5))) == [0, 3, 6, 9, 12]
+    assert asked_by == argument.asked_by == [threading.current_thread().name]
+    processes: _Processes[int] = _Processes([], 2, "try again")
+    processes._tasks = TakenByAnother()
+    processes._tasks.put((Future(), times, 1))
+    assert ends_within(5, processes.close)
+    monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
+
+    def use_no_worker() -> None:
+        with open_workers(2, "try again", open_factor, 3):
+            pass
+
+    assert ends_within(30, use_no_worker)
 
 
 def ends_within(seconds: float, work: Callable[[], object]) -> bool:
@@ -94,20 +111,6 @@ class TakenByAnother(SimpleQueue[Any]):
         return was_empty
 
 
-def test_closing_waits_neither_for_a_task_that_a_worker_takes_meanwhile_nor_without_one(monkeypatch) -> None:
-    processes: _Processes[int] = _Processes([], 2, "try again")
-    processes._tasks = TakenByAnother()
-    processes._tasks.put((Future(), times, 1))
-    assert ends_within(5, processes.close)
-    monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
-
-    def use_no_worker() -> None:
-        with open_workers(2, "try again", open_factor, 3):
-            pass
-
-    assert ends_within(30, use_no_worker)
-
-
 class ToldByOthers:
     """An argument that keeps who asked for its state, as is done for a copy of it."""
 
@@ -124,15 +127,6 @@ def open_argument(argument: ToldByOthers) -> Iterator[int]:
     yield 3
 
 
-def test_arguments_are_copied_before_a_worker_of_this_process_may_change_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
-    argument = ToldByOthers()
-    with open_workers(2, "try again", open_argument, argument, here_too=True) as workers:
-        asked_by = list(argument.asked_by)
-        assert list(workers.map(times, range(5))) == [0, 3, 6, 9, 12]
-    assert asked_by == argument.asked_by == [threading.current_thread().name]
-
-
 def meet_another(folder: Path, piece: int) -> int:
     """Wait for another process that does a piece at the same time."""
     (folder / str(os.getpid())).touch()
@@ -142,11 +136,17 @@ def meet_another(folder: Path, piece: int) -> int:
     return os.getpid()
 
 
-def test_one_of_several_workers_is_this_process(tmp_path: Path) -> None:
+def test_one_of_several_workers_is_this_process_and_the_option_takes_auto(tmp_path, call, monkeypatch):
     with open_workers(2, "try again", nullcontext, tmp_path, here_too=True) as workers:
         done_by = set(workers.map(meet_another, range(2)))
     assert os.getpid() in done_by
     assert len(done_by) == len(list(tmp_path.iterdir())) == 2
+    asked: list[int] = []
+    monkeypatch.setattr("modsim3d.io.processes.usable_cpus", lambda: asked.append(1) or 1)
+    options = ("--workers", "auto", "--no-sheet", "--out", tmp_path / "run")
+    assert call("run", crossing(tmp_path, 4), *options)[0] == 0 and asked
+    asked.clear()
+    assert call("check", "repeat", tmp_path / "run", "--workers", "auto")[0] == 0 and asked
 
 
 def die_while_the_result_is_sent(factor: int, piece: int) -> bytes:
@@ -161,15 +161,12 @@ def die_while_the_result_is_sent(factor: int, piece: int) -> bytes:
     return bytes(100_000)
 
 
-def test_a_worker_process_that_dies_while_it_sends_its_result_is_told() -> None:
+def test_workers_are_a_number_or_auto_and_one_that_dies_while_it_sends_its_result_is_told(monkeypatch):
     """In a process of its own, since it once waited for ever."""
     parts = "(2, test.open_factor, 100_000, test.die_while_the_result_is_sent, test.ModsimError, test.DIED)"
     code = f"import {__name__} as test; test.test_what_goes_wrong_in_a_worker_is_told{parts}"
     root = Path(__file__).resolve().parents[1]
     subprocess.run([sys.executable, "-c", code], cwd=root, check=True, timeout=60)
-
-
-def test_workers_are_a_number_or_auto_for_the_usable_cpus_and_anything_else_is_one_error(monkeypatch) -> None:
     assert [worker_count(n) for n in (1, 7, np.int64(2))] == [1, 7, 2]  # type: ignore[list-item]
     assert [parse_workers(text) for text in ("1", "16", "auto")] == [1, 16, "auto"]
     wrong: tuple[Any, ...] = (0, -1, 2.0, True, None, "2", "AUTO", "", MAX_WORKERS + 1)
@@ -193,15 +190,6 @@ def test_a_wrong_option_is_one_line_before_anything_is_read_or_written(call, tmp
         assert said.startswith("modsim3d: --workers: needs a number of processes from 1 to 1024, or 'auto' (got ")
         assert said.count("\n") == 1 and len(said) < 200
     assert not list(tmp_path.iterdir())
-
-
-def test_the_option_takes_auto(call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-    monkeypatch.setattr("modsim3d.io.processes.usable_cpus", lambda: asked.append(1) or 1)
-    options = ("--workers", "auto", "--no-sheet", "--out", tmp_path / "run")
-    assert call("run", crossing(tmp_path, 4), *options)[0] == 0 and asked
-    asked.clear()
-    assert call("check", "repeat", tmp_path / "run", "--workers", "auto")[0] == 0 and asked
 
 
 def test_functions_take_auto_and_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

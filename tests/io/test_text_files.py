@@ -78,7 +78,7 @@ def test_every_reader_of_text_passes_over_marks(reader: str, tmp_path: Path) -> 
             read(path)
 
 
-def test_accents_of_images_and_of_classes_are_those_of_the_text_however_they_are_written(tmp_path: Path) -> None:
+def test_accents_are_those_of_the_text_and_lost_digits_and_commas_are_named(tmp_path):
     for folder, name, numbers in (("labels", NAME, ""), ("predictions", "ba\u030at", " 0.9")):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / f"{name}.txt").write_text(f"0 0.5 0.5 0.25 0.5{numbers}\n")
@@ -91,18 +91,12 @@ def test_accents_of_images_and_of_classes_are_those_of_the_text_however_they_are
         images, classes = [{"id": 1, "file_name": "a", "width": 9, "height": 9}], [{"id": 1, "name": name}]
         (tmp_path / "gt.json").write_text(json.dumps({"images": images, "annotations": [], "categories": classes}))
         assert read_pair("day", tmp_path / "gt.json", tmp_path / "dt.json").labels == (NAME,)
-
-
-def test_what_stands_in_place_of_commas_is_named_and_digits_that_an_exponent_has_lost() -> None:
     lines = {"sep=;": "spreadsheets", "SEP=,\n": "spreadsheets", "a;b;c": "semicolons", "a\tb": "tabs", "a|b|c": "bars"}
     for line, says in {**lines, "a,b": "", "a,b;c": "", "": ""}.items():
         assert says in no_commas(line) and bool(says) == bool(no_commas(line)), line
     lost = ("2.19E+08", "2e8", " 2.190e+8 ", "2,19E+08", "1e1")
     kept = ("219000111", "2.19000111E+08", "1.000000000000000000e+00", "5e-05", "1e0", "a1e9", "1e300", "e", "", "219e")
     assert [text for text in lost + kept if has_lost_digits(text)] == list(lost)
-
-
-def test_a_text_that_is_read_again_gives_a_value_or_an_error_of_its_own() -> None:
     text = "a: [1, {b: 2.5}]\nc: &x [true]\nd: *x\n"
     first = parse_yaml(text, "one")
     first["a"][1]["b"] = first["c"] = "changed"

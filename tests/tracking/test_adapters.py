@@ -18,9 +18,8 @@ STONE_SOUP = [StoneSoupGnn, StoneSoupJpda]
 ALL = [*BY_IOU, *STONE_SOUP]
 
 every = pytest.mark.parametrize("tracker", [model() for model in ALL], ids=lambda tracker: type(tracker).__name__)
-coasting = pytest.mark.parametrize(
-    "tracker", [model(coast_s=1.0) for model in ALL], ids=lambda tracker: type(tracker).__name__
-)
+EACH_MODEL = [model(coast_s=1.0) for model in ALL]
+coasting = pytest.mark.parametrize("tracker", EACH_MODEL, ids=lambda tracker: type(tracker).__name__)
 
 
 def camera(rate_hz: float = 5.0, name: str = "quay") -> CameraFacts:
@@ -32,9 +31,7 @@ def crossing_px(time_s: float) -> np.ndarray:
     return corner_form(np.array([[120.0 + 30 * time_s, 200, 60, 30], [360.0 - 30 * time_s, 222, 60, 30]]))
 
 
-def sensed(
-    times_s: Sequence[float], noise_px: float = 1.0, empty: Sequence[int] = (), seed: int = 1
-) -> Iterator[SensedFrame]:
+def sensed(times_s: Sequence[float], noise_px: float = 1.0, empty: Sequence[int] = (), seed: int = 1) -> Iterator:
     """The crossing as a detector sees it, the first vessel a boat and the second a ferry."""
     generator = np.random.default_rng(seed)
     for index, time_s in enumerate(times_s):
@@ -61,7 +58,7 @@ def followed(answer: TrackedFrame, time_s: float) -> list[int]:
 
 
 @every
-def test_two_crossing_vessels_keep_their_identities_and_labels(tracker: Tracker) -> None:
+def test_crossing_vessels_keep_identities_each_frame_is_answered_at_once_and_odd_ones_are_survived(tracker):
     found = answers(tracker, sensed(times_s()))
     seen = [followed(answer, time_s) for answer, time_s in zip(found, times_s(), strict=True)]
     assert seen[4][0] != seen[4][1] and min(seen[4]) >= 0 and all(pair == seen[4] for pair in seen[4:])
@@ -69,10 +66,6 @@ def test_two_crossing_vessels_keep_their_identities_and_labels(tracker: Tracker)
         labels = [] if answer.label is None else answer.label.tolist()
         by_track = dict(zip(answer.track.tolist(), labels, strict=True))
         assert [by_track[track] for track in tracks if track >= 0] == [i for i in range(2) if tracks[i] >= 0]
-
-
-@every
-def test_each_frame_has_its_answer_before_the_next_is_read(tracker: Tracker) -> None:
     read = []
 
     def frames() -> Iterator[SensedFrame]:
@@ -83,10 +76,6 @@ def test_each_frame_has_its_answer_before_the_next_is_read(tracker: Tracker) -> 
     for answered, _ in enumerate(tracker.follow(frames(), camera()), start=1):
         assert len(read) == answered
     assert len(read) == 10
-
-
-@every
-def test_nothing_is_tracked_without_detections_and_those_without_size_and_equal_ones_are_survived(tracker) -> None:
     found = answers(tracker, sensed(times_s(6), empty=range(6)))
     assert [(len(answer.track), answer.boxes_px.shape) for answer in found] == [(0, (0, 4))] * 6
     at_edge, equal = np.array([[0.0, 100, 0, 100], [600.0, 440, 640, 480]]), np.tile([100.0, 100, 150, 130], (6, 1))
@@ -103,7 +92,7 @@ def check_kept(found: list[TrackedFrame], times: Sequence[float], since: int) ->
 
 
 @every
-def test_identities_outlive_a_gap_in_the_detections_but_no_long_one(tracker: Tracker) -> None:
+def test_identities_outlive_short_gaps_and_unequal_steps(tracker):
     found = answers(tracker, sensed(times_s(20), empty=range(8, 10)))
     check_kept(found, times_s(20), 7)
     if type(tracker) in BY_IOU:  # the library reports no track without a detection
@@ -111,10 +100,6 @@ def test_identities_outlive_a_gap_in_the_detections_but_no_long_one(tracker: Tra
     short, times = tracker.model_copy(update={"lost_s": 0.5}), times_s(30)
     found = answers(short, sensed(times, empty=range(8, 13)))
     assert not set(followed(found[-1], times[-1])) & set(followed(found[7], times[7]))
-
-
-@every
-def test_unequal_steps_keep_the_identities_and_a_slow_camera_tracks_kept_shorter_than_its_period(tracker) -> None:
     unequal = np.cumsum(np.tile([0.1, 0.3, 0.2, 0.2], 10)).tolist()
     check_kept(answers(tracker, sensed(unequal)), unequal, 8)
     short, slow = tracker.model_copy(update={"lost_s": 0.5, "tentative_s": 0.5}), times_s(12, rate_hz=1.25)
@@ -152,7 +137,7 @@ def test_the_box_of_a_track_is_its_detection_or_lies_near_it_where_it_is_filtere
 
 
 @pytest.mark.parametrize("model", STONE_SOUP)
-def test_filtered_centres_are_closer_to_the_truth_than_detections(model: type[Tracker]) -> None:
+def test_filtered_centres_are_closer_to_the_truth_and_their_covariance_grows_while_a_track_coasts(model):
     times = times_s(60)
     tracker, frames = model(acceleration_density_px2_s3=1.0), list(sensed(times, noise_px=5))
     squares = np.zeros(2)
@@ -163,10 +148,6 @@ def test_filtered_centres_are_closer_to_the_truth_than_detections(model: type[Tr
             for place, each in enumerate((box, frame.boxes_px[index])):
                 squares[place] += ((centres(each) - centres(truth)) ** 2).sum()
     assert squares[0] < 0.7 * squares[1]
-
-
-@pytest.mark.parametrize("model", STONE_SOUP)
-def test_the_covariance_of_the_centre_grows_while_a_track_coasts(model: type[Tracker]) -> None:
     found = answers(model(), sensed(times_s(15), empty=range(11, 15)))
     variances = [answer.covariance_px2[answer.track == 0][0] for answer in found[10:15]]
     assert all(np.allclose(each, each.T) and np.linalg.eigvalsh(each).min() > 0 for each in variances)
@@ -174,9 +155,7 @@ def test_the_covariance_of_the_centre_grows_while_a_track_coasts(model: type[Tra
 
 
 @every
-def test_a_failure_of_the_library_names_camera_and_time_and_a_missing_one_how_to_install_it(
-    tracker, monkeypatch
-) -> None:
+def test_a_failure_of_the_library_names_camera_and_time_and_a_missing_one_how_to_install_it(tracker, monkeypatch):
     broken = SensedFrame(0.4, np.full((1, 4), np.nan), np.array([0]), np.array([0.9]))
     with pytest.raises(ModsimError, match=r"\w+ failed in camera 'quay' at 0\.4 s"):
         answers(tracker, iter([*sensed([0.0, 0.2]), broken]))

@@ -1,5 +1,4 @@
-"""Errors of tracks in the image, their covariances, GOSPA, OSPA and SIAP, worked out by hand and by sampling, against
-laws, all assignments tried out, a slow way and Stone Soup's values."""
+"""Errors of tracks, covariances, GOSPA, OSPA and SIAP, by hand, by sampling, by laws and as Stone Soup has them."""
 
 import datetime as dt
 from collections import defaultdict
@@ -30,7 +29,7 @@ from tests.tracking.hand_made import box, hand_made, placed
 RULES = Rules(set_distance=SetDistance(cutoff=10))
 
 
-def test_distances_are_means_over_the_frames_in_question_of_errors_misses_false_tracks_and_empty_frames() -> None:
+def test_distances_are_means_over_frames_and_a_larger_power_and_hidden_vessels_have_their_parts():
     """A shift by (3, 4), a miss, a false track and an empty frame."""
     truth, tracks = [(0, 0, box()), (1, 0, box())], [(0, 7, box(3, 4)), (2, 7, box())]
     scored = hand_made(truth, tracks, 4, rules=RULES)
@@ -42,25 +41,16 @@ def test_distances_are_means_over_the_frames_in_question_of_errors_misses_false_
     # With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0.
     low, high = (errors.gospa(replace(scored, rules=Rules(set_distance=SetDistance(cutoff)))) for cutoff in (4, 20))
     assert low == errors.Gospa(2, 0, 1, 1) and high == errors.Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
-
-
-def test_a_larger_power_gives_parts_as_powers_and_the_largest_has_a_distance() -> None:
     squared = Rules(set_distance=SetDistance(cutoff=10, power=2))
     scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=squared)
     assert errors.gospa(scored) == errors.Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
     largest = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
     assert errors.ospa(hand_made([(0, 0, box())], [], 1, rules=largest)).ospa == pytest.approx(1e6)
-
-
-def test_a_track_on_a_hidden_vessel_costs_nothing_and_frames_of_several_cameras_are_apart() -> None:
     scored = hand_made([(0, 0, box(), 0.0)], [(0, 7, box(1))], 1, rules=RULES)
     assert errors.gospa(scored) == errors.Gospa(0, 0, 0, 0) and errors.ospa(scored) == errors.Ospa(0)
     # The track of camera 1 is at the place of the vessel of camera 0.
     scored = hand_made([(0, 0, box())], [(1, 7, box())], 1, cameras=2, rules=RULES)
     assert errors.gospa(scored) == errors.Gospa(5, 0, 2.5, 2.5)
-
-
-def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
     for cutoff in (0, -1, 1e200, np.inf, np.nan):
         with pytest.raises(ModsimError, match="--gospa C: must be above 0 and at most 1,000,000"):
             SetDistance(cutoff=cutoff, power=10)
@@ -73,7 +63,7 @@ BY_CENTRE = Rules(similarity=Similarity("centre", 100))
 TEN_PX = ((100, 0), (0, 100))
 
 
-def test_errors_of_three_pairs_worked_by_hand() -> None:
+def test_errors_and_nees_of_pairs_are_worked_by_hand_and_hidden_vessels_and_false_tracks_add_none():
     """Centres off by (3, 4), 0 and (9, 12) px; widths by 0, 2 and 0, heights by 0, 0 and 4."""
     tracks = [(0, 7, box(3, 4)), (1, 7, box(-1, 0, 22, 20)), (2, 7, box(9, 10, 20, 24))]
     found = errors.errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=BY_CENTRE))
@@ -81,25 +71,20 @@ def test_errors_of_three_pairs_worked_by_hand() -> None:
     sizes_px = found.rmse_px, found.rmse_width_px, found.rmse_height_px
     assert sizes_px == pytest.approx([(250 / 3) ** 0.5, (4 / 3) ** 0.5, (16 / 3) ** 0.5])
     assert (found.nees, found.anees, found.nees_pairs) == (None, None, 0)
-
-
-def test_nees_is_over_the_pairs_with_a_covariance_and_anees_is_half_of_it() -> None:
-    """e' P⁻¹ e of e = (10, 20) and P = [[4, 2], [2, 3]] is (3·100 − 4·200 + 4·400) / 8 = 137.5; of (10, 0) it is 1."""
+    truth, tracks = [(0, 0, box()), (1, 0, box(), 0.0)], [(0, 7, box(1)), (1, 7, box(40)), (1, 8, box(400))]
+    found = errors.errors(hand_made(truth, tracks, 2, rules=BY_CENTRE))
+    assert (found.error_pairs, found.rmse_px) == (1, 1)
+    assert errors.errors(hand_made(truth, [], 2)) == errors.Errors(0, None, None, None, None, None, None, 0, 0)
+    # e' P⁻¹ e of e = (10, 20) and P = [[4, 2], [2, 3]] is (3·100 − 4·200 + 4·400) / 8 = 137.5; of (10, 0) it is 1.
     tracks = [(0, 7, box(10, 20), -1, ((4, 2), (2, 3))), (1, 7, box(10), -1, TEN_PX), (2, 7, box(30))]
     found = errors.errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=BY_CENTRE))
     assert found.nees == pytest.approx(138.5 / 2) and found.anees == pytest.approx(138.5 / 4)
     assert (found.error_pairs, found.nees_pairs, found.singular_covariances) == (3, 2, 0)
-
-
-def test_a_singular_covariance_makes_nees_infinite_and_is_counted() -> None:
     for singular in (((0, 0), (0, 0)), ((4, 2), (2, 1)), ((1, 0), (0, -1)), ((1e13, 0), (0, 1))):
         tracks = [(0, 7, box(1), -1, singular), (1, 7, box(1), -1, TEN_PX)]
         found = errors.errors(hand_made([(0, 0, box()), (1, 0, box())], tracks, 2, rules=BY_CENTRE))
         counts = found.nees_pairs, found.singular_covariances
         assert (found.nees, found.anees, *counts, found.rmse_px) == (np.inf, np.inf, 2, 1, 1), singular
-
-
-def test_errors_as_large_as_their_covariance_have_anees_1() -> None:
     rng = np.random.default_rng(1)
     root = rng.normal(size=(4000, 2, 2))
     covariance = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
@@ -108,13 +93,6 @@ def test_errors_as_large_as_their_covariance_have_anees_1() -> None:
     assert squares.mean() == pytest.approx(2, abs=4 * 2 / 4000**0.5)  # chi-square with 2 degrees: variance 4
     slow = [e @ np.linalg.inv(p) @ e for e, p in zip(error, covariance, strict=True)]
     np.testing.assert_allclose(squares, slow)
-
-
-def test_hidden_vessels_and_false_tracks_add_no_error_and_without_pairs_there_is_none() -> None:
-    truth, tracks = [(0, 0, box()), (1, 0, box(), 0.0)], [(0, 7, box(1)), (1, 7, box(40)), (1, 8, box(400))]
-    found = errors.errors(hand_made(truth, tracks, 2, rules=BY_CENTRE))
-    assert (found.error_pairs, found.rmse_px) == (1, 1)
-    assert errors.errors(hand_made(truth, [], 2)) == errors.Errors(0, None, None, None, None, None, None, 0, 0)
 
 
 CUTOFF = 10.0
@@ -168,13 +146,11 @@ def test_no_assignment_is_cheaper(power: float) -> None:
 
 @given(points(), points(), st.sampled_from(POWERS))
 def test_the_other_way_round_misses_and_false_tracks_change_places(a: np.ndarray, b: np.ndarray, power: float) -> None:
-    there, back = (
-        errors.gospa_frame(distance, CUTOFF, power) for distance in (errors.distances(a, b), errors.distances(b, a))
-    )
+    both = (errors.distances(a, b), errors.distances(b, a))
+    there, back = (errors.gospa_frame(distance, CUTOFF, power) for distance in both)
     np.testing.assert_allclose(there, (back.gospa, back.localisation, back.false, back.missed), atol=1e-9)
-    assert errors.ospa_frame(errors.distances(a, b), CUTOFF, power) == pytest.approx(
-        errors.ospa_frame(errors.distances(b, a), CUTOFF, power)
-    )
+    there, back = (errors.ospa_frame(errors.distances(*pair), CUTOFF, power) for pair in ((a, b), (b, a)))
+    assert there == pytest.approx(back)
 
 
 @settings(max_examples=150)
@@ -196,7 +172,7 @@ def test_the_distance_is_0_of_equal_sets_only_and_its_parts_add_up_to_its_power(
         assert errors.ospa_frame(errors.distances(a, b), CUTOFF, power) > 0
 
 
-def test_one_pair_a_miss_and_a_false_track_and_empty_sets_worked_by_hand() -> None:
+def test_parts_and_their_mean_are_worked_by_hand_also_of_empty_sets_and_without_frames():
     """Vessels at 0 and 100, tracks at 3 and 50: with c = 10 the pair costs 3, and 100 and 50 cost 5 each."""
     distance = np.array([[3.0, 50.0], [97.0, 50.0]])
     assert errors.gospa_frame(distance, 10) == (13, 3, 5, 5)
@@ -209,13 +185,9 @@ def test_one_pair_a_miss_and_a_false_track_and_empty_sets_worked_by_hand() -> No
         distance = np.zeros((vessels, tracks))
         assert errors.gospa_frame(distance, 10) == (whole, 0, 5 * vessels, 5 * tracks)
         assert errors.ospa_frame(distance, 10) == mean, (vessels, tracks)
-
-
-def test_the_mean_is_over_all_frames_and_none_without_frames() -> None:
     frames = [np.zeros((0, 0)), np.array([[4.0]]), np.zeros((1, 0))]  # GOSPA 0, 4, 5; OSPA 0, 4, 10
-    assert errors.mean_gospa(frames, 10) == (3, 4 / 3, 5 / 3, 0) and errors.mean_ospa(frames, 10) == pytest.approx(
-        14 / 3
-    )
+    assert errors.mean_gospa(frames, 10) == (3, 4 / 3, 5 / 3, 0)
+    assert errors.mean_ospa(frames, 10) == pytest.approx(14 / 3)
     assert errors.mean_gospa([], 10) is None and errors.mean_ospa([], 10) is None
 
 
@@ -227,7 +199,7 @@ def siap_of(truth: list[tuple], tracks: list[tuple], **options: float) -> Siap:
     return siap(hand_made(truth, tracks, 1 + max(frame for frame, *_ in truth), rules=SIAP_RULES, **options))
 
 
-def test_a_track_goes_to_the_nearest_vessel_and_a_second_one_there_is_ambiguous_and_not_spurious() -> None:
+def test_tracks_go_to_the_nearest_vessel_and_changes_pauses_and_stretches_are_counted():
     vessel = placed(0, range(4))
     assert siap_of(vessel, placed(7, range(4), 3, 4)) == Siap(1, 1, 0, 5, 0, 1)  # followed all the time
     # 4 vessel-frames with 6 tracks, one more track far off; distances 0 (four times) and 6 (twice).
@@ -239,9 +211,6 @@ def test_a_track_goes_to_the_nearest_vessel_and_a_second_one_there_is_ambiguous_
     # Of two as near as each other to the one that it follows: the smaller lies in the larger's middle in frame 1.
     truth = [*placed(0, range(3)), *placed(1, (0, 2), 55, 5, 10, 10), *placed(1, [1], 5, 5, 10, 10)]
     assert siap_of(truth, truth) == Siap(1, 1, 0, 0, 0, 1)
-
-
-def test_another_track_is_a_change_and_a_pause_breaks_the_longest_stretch() -> None:
     # 10 s, track 7 for 6 s, then track 8 for 4 s.
     other = siap_of(placed(0, range(20)), placed(7, range(12)) + placed(8, range(12, 20)), step_s=0.5)
     assert other == Siap(1, 1, 0, 0, 0.1, 0.6)
@@ -252,15 +221,9 @@ def test_another_track_is_a_change_and_a_pause_breaks_the_longest_stretch() -> N
     # Two vessels that change places with their tracks have a change each.
     truth = [(k, vessel, box(100 * vessel)) for k in range(4) for vessel in range(2)]
     assert siap_of(truth, [(k, v ^ (k > 1), place) for k, v, place in truth]) == Siap(1, 1, 0, 0, 2 / 8, 4 / 8)
-
-
-def test_what_lies_on_a_hidden_vessel_is_left_out_and_breaks_no_stretch() -> None:
-    """Hidden in frame 1, with two tracks on it."""
+    # Hidden in frame 1, with two tracks on it.
     truth = [*placed(0, (0, 2)), (1, 0, box(), 0.0)]
     assert siap_of(truth, placed(7, range(3)) + placed(8, [1], 5)) == Siap(1, 1, 0, 0, 0, 1)
-
-
-def test_cameras_are_apart_and_only_the_frames_in_question_and_no_last_bits_of_times_count() -> None:
     scored = hand_made(placed(0, range(4)), placed(7, (0, 2)), 2, cameras=2, rules=SIAP_RULES)
     assert siap(scored) == Siap(0.5, 1, 0, 0, 0, 0.5)
     tracks = [*placed(7, [0]), *placed(7, [1], 4), *placed(8, [2]), *placed(9, [3], 300)]
@@ -268,9 +231,6 @@ def test_cameras_are_apart_and_only_the_frames_in_question_and_no_last_bits_of_t
     assert siap(replace(scored, frames=np.array([0, 1]))) == Siap(1, 1, 0, 2, 0, 1)
     truth = [each for vessel in range(3) for each in placed(vessel, range(7 + vessel), 100 * vessel)]
     assert siap_of(truth, truth, step_s=0.1).siap_longest_track_share == 1
-
-
-def test_of_nothing_nothing_is_said() -> None:
     assert siap(hand_made([], [], 2)) == Siap(None, None, None, None, None, None)
     assert siap(hand_made(placed(0, [0]), [], 2)) == Siap(0, None, None, None, None, 0)
     assert siap(hand_made([], placed(7, [0]), 2)) == Siap(None, None, 1, None, None, None)

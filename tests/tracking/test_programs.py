@@ -1,4 +1,4 @@
-"""Programs as trackers: the lines of an exchange, and what becomes of programs that fail or are left alone."""
+"""Programs and installed packages as trackers: exchange, failures, and pages with each setting and key of scores."""
 
 import json
 import os
@@ -9,19 +9,28 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import fields
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jsonschema
 import numpy as np
 import pyarrow.csv
+import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d import ModsimError, StoredRun, load_scene
+from modsim3d import InputError, ModsimError, StoredRun, load_scene, track_run
 from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
+from modsim3d.tracking.scores.breakdown import Bin
+from modsim3d.tracking.scores.occlusions import OcclusionEpisode
+from modsim3d.tracking.scores.scoring import Part, SubsetScores
+from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracking.trackers.registry import command_tracker
+from modsim3d.tracking.world.collision import MetVessel
+from tests.plugin_site import site
 from tests.run_folders import finished
 
 SCHEMA = json.loads((files("modsim3d.plugins") / "tracker_command.json").read_text(encoding="utf-8"))
@@ -90,9 +99,7 @@ def test_every_line_is_of_the_schema_and_all_is_told_once_in_order(two_cameras, 
     assert frames == sorted(inputs) and len(frames) > 60
     if (answers, tracks) == ("frames", "image"):  # the rest of a line is the line of the file, byte for byte
         assert [line[line.index('"time_s"') :] for line in lines[1:]] == [inputs[each][1:] for each in frames]
-        assert [list(each)[:3] for each in told[1:3]] == [
-            ["camera", "frames_in_step", at] for at in ("attitude_rad",) * 2
-        ]
+        assert [list(each)[:3] for each in told[1:3]] == [["camera", "frames_in_step", "attitude_rad"]] * 2
     detections = sum(len(frame["detections"]) for each in told[1:] for frame in each.get("frames", [each]))
     assert result.counts.detections == detections > 100
     with pytest.raises(ModsimError, match="nothing says which one made"):
@@ -205,7 +212,7 @@ def test_a_program_ends_with_its_input_and_without_a_word(run, tmp_path, after, 
         modsim3d.track_run(run, tmp_path / "t", command=["sh", str(tmp_path / "late.sh")], timeout_s=2)
 
 
-def test_tracks_have_the_name_of_the_program_or_of_what_an_interpreter_runs(tmp_path: Path) -> None:
+def test_tracks_have_the_name_of_the_program_and_one_that_is_none_is_named(tmp_path, run):
     for name in ("tool", "params.json"):
         shutil.copy(shutil.which("true"), tmp_path / name)
     for command, name in (
@@ -214,9 +221,6 @@ def test_tracks_have_the_name_of_the_program_or_of_what_an_interpreter_runs(tmp_
         (["sh", "-c", "./tool -x"], "sh"),
     ):
         assert command_tracker(command, {}, folder=tmp_path).name == name
-
-
-def test_a_program_that_is_none_is_named(run, tmp_path) -> None:
     for command, said in (
         (["./nobody"], "'./nobody': there is no such program"),
         ([str(tmp_path)], "there is no such program|may be run"),
@@ -272,6 +276,67 @@ def test_the_programs_of_the_page_are_short() -> None:
     page = (Path(__file__).parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
     programs = re.findall(r"```(cpp|python|shell)\n(.*?)```", page, flags=re.DOTALL)
     assert [name for name, _ in programs] == ["cpp", "python", "shell"]
-    assert [len(text.splitlines()) <= most for (_, text), most in zip(programs, (60, 62, 17), strict=True)] == [
-        True
-    ] * 3
+    assert all(len(text.splitlines()) <= most for (_, text), most in zip(programs, (60, 62, 17), strict=True))
+
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "tests" / "tracker_example"
+SECTION = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n## A tracker\n")[1].split("\n## ")[0]
+__all__ = ["site"]  # a fixture
+
+
+def test_an_installed_tracker_runs_by_name_with_its_settings_as_the_page_quotes_it(run, site, tmp_path, call):
+    for language, name in (("toml", "pyproject.toml"), ("python", "modsim3d_overlap.py")):
+        blocks = re.findall(rf"```{language}\n(.*?)```", SECTION, flags=re.DOTALL)
+        assert blocks == [(EXAMPLE / name).read_text(encoding="utf-8")]
+    _, tracker = blocks[0].split("\n\n\n")
+    assert len([line for line in tracker.splitlines() if line]) == 10
+    project = site.add_project(EXAMPLE)
+    status, text = call("track", run.folder, "--tracker", "overlap", "--json", "--out", tmp_path / "a")
+    assert status == 0, text
+    said = json.loads(text.splitlines()[0])
+    assert said["package"] == f"{project['name']} {project['version']}"
+    assert (said["name"], said["settings"], said["chosen"]) == ("overlap", {"least_iou": 0.3}, "the tracker's defaults")
+    detections, tracks = run.folder / "detections.parquet", pq.read_table(tmp_path / "a" / "tracks.parquet")
+    rows = pq.read_metadata(detections).num_rows
+    assert len(tracks) == rows == said["counts"]["boxes"] == said["counts"]["detections"]
+    assert 0 < said["counts"]["tracks"] < len(tracks)
+    strict = track_run(run, tmp_path / "b", tracker="overlap", settings={"least_iou": 1.1})
+    assert strict.counts.tracks == len(tracks), "no two boxes are the same"
+    with pytest.raises(InputError, match=r"least: unknown key \(did you mean 'least_iou'\?\)"):
+        track_run(run, tmp_path / "c", tracker="overlap", settings={"least": 1})
+    assert not (tmp_path / "c").exists()
+
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (DOCS / "trackers.md").read_text(encoding="utf-8")
+LIBRARY = ("sort", "bytetrack", "ocsort")
+
+
+def defaults(name: str) -> dict[str, str]:
+    """Settings of a tracker with the defaults that the page tells; the library's own stand in brackets behind them."""
+    (section,) = (part for part in PAGE.split("\n## ") if f"`{name}`" in part.split("\n")[0])
+    found: dict[str, str] = {}
+    for line in section.splitlines():
+        if line.startswith("| `"):
+            names, _, *columns = (re.sub(r"\(.*?\)|`", "", cell).strip() for cell in line.strip("|").split("|"))
+            told = columns[LIBRARY.index(name) if name in LIBRARY else 0]
+            found |= dict(zip(names.split(", "), told.split(", "), strict=True))
+    return found
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_page_of_trackers_has_each_setting_with_its_default(name: str) -> None:
+    model = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
+    told = defaults(name)
+    for setting, field in model.model_fields.items():
+        kind = type(field.default)
+        value = told[setting] == "true" if kind is bool else kind(told[setting])
+        assert value == field.default, setting
+
+
+def test_the_pages_have_each_key_of_scores() -> None:
+    kinds = {"scores": get_args(Part), "json": (SubsetScores, Bin, OcclusionEpisode), "world_tracks": (MetVessel,)}
+    for page, parts in kinds.items():
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        assert [each.name for part in parts for each in fields(part) if f"`{each.name}`" not in text] == [], page

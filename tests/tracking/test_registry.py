@@ -40,7 +40,7 @@ def settings_file(folder: Path, text: str) -> None:
     (folder / "scenes" / "trackers" / "sort.yaml").write_text(text)
 
 
-def test_names_are_the_built_in_ones_first_and_an_unknown_one_is_told_with_them() -> None:
+def test_names_are_the_built_in_ones_first_and_wrong_names_and_settings_are_told_with_the_nearest():
     built_in = ("reference", "sort", "bytetrack", "ocsort", "stonesoup_gnn", "stonesoup_jpda")
     built_in += ("world_gnn", "world_jpda")
     assert tracker_names()[:8] == built_in
@@ -48,16 +48,20 @@ def test_names_are_the_built_in_ones_first_and_an_unknown_one_is_told_with_them(
         named_tracker("refrence", {}, "strait")
     with pytest.raises(InputError, match=f"known: {', '.join(built_in)}"):
         named_tracker("../../x", {}, "strait")
+    with pytest.raises(InputError) as caught:
+        named_tracker("sort", {"gat": 3, "hits": "many"}, "strait")
+    assert caught.value.source == "settings of the tracker 'sort'"
+    gate, hits = sorted(caught.value.problems)
+    assert gate == "gat: unknown key (did you mean 'gate'?)" and "hits: " in hits and "(got 'many')" in hits
+    with pytest.raises(TypeError, match="a mapping of names to values"):
+        named_tracker("sort", ["gate"], "strait")  # type: ignore[arg-type]
 
 
-def test_without_a_file_the_defaults_hold() -> None:
+def test_a_file_replaces_the_defaults_its_scene_the_file_and_the_caller_all(tmp_path):
     named = named_tracker("sort", {}, "strait")
     assert (named.tracker, named.plugin, named.chosen) == (Toy(), None, "the tracker's defaults")
     assert named_tracker("sort", {"hits": np.int64(5)}, "strait").tracker == Toy(hits=5)
     assert named_tracker("sort", {"hits": 5}, "strait").chosen == "the tracker's defaults, but for hits"
-
-
-def test_a_file_replaces_defaults_its_scene_the_file_and_the_caller_all(tmp_path: Path) -> None:
     settings_file(tmp_path, FILE)
     assert named_tracker("sort", {}, "fairway").tracker == Toy(gate=2.0, hits=3)
     given, named = named_tracker("sort", {"gate": 5}, "strait"), named_tracker("sort", {}, "strait")
@@ -95,16 +99,6 @@ def test_shipped_files_of_settings_are_right(monkeypatch: pytest.MonkeyPatch) ->
         assert name in BUILT_IN
         assert named_tracker(name, {}, "strait").chosen != registry.DEFAULTS
         assert named_tracker(name, {}, "a scene of my own").chosen == registry.DEFAULTS
-
-
-def test_wrong_settings_are_told_together_with_the_nearest_names() -> None:
-    with pytest.raises(InputError) as caught:
-        named_tracker("sort", {"gat": 3, "hits": "many"}, "strait")
-    assert caught.value.source == "settings of the tracker 'sort'"
-    gate, hits = sorted(caught.value.problems)
-    assert gate == "gat: unknown key (did you mean 'gate'?)" and "hits: " in hits and "(got 'many')" in hits
-    with pytest.raises(TypeError, match="a mapping of names to values"):
-        named_tracker("sort", ["gate"], "strait")  # type: ignore[arg-type]
 
 
 class Strange(Toy):

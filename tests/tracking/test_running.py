@@ -66,7 +66,7 @@ def test_a_tracker_is_given_each_frame_with_its_detections_and_time(scene: Scene
     assert seen[3:] == seen[:3]
 
 
-def test_tracks_are_numbered_by_their_first_box_and_frames_by_step_and_camera(scene: Scene) -> None:
+def test_tracks_are_numbered_by_their_first_box_and_cameras_are_tracked_by_themselves(scene):
     numbers = iter([[900, -4], [], [-4, 17]])
 
     def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
@@ -78,8 +78,6 @@ def test_tracks_are_numbered_by_their_first_box_and_frames_by_step_and_camera(sc
     assert tracks.frame.tolist() == [0, 0, 4, 4] and tracks.track.tolist() == [1, 2, 2, 3]
     assert tracks.label.tolist() == [-1] * 4 and np.isnan(tracks.confidence).all()
 
-
-def test_cameras_are_tracked_by_themselves(scene: Scene) -> None:
     def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         return (TrackedFrame(np.arange(7, 7 + len(each.label)), each.boxes_px, each.label) for each in frames)
 
@@ -172,15 +170,12 @@ def test_a_wrong_answer_is_told_with_plugin_camera_and_time(scene: Scene, script
     assert said.startswith("the plug-in 'mine' of mine 1.0") and "camera 'C0'" in said and "\n" not in said
 
 
-def test_what_is_right_is_kept(scene: Scene) -> None:
+def test_what_is_right_is_kept_and_an_error_of_a_built_in_tracker_is_its_own(scene):
     covariance = [[[4.0, 1.0], [1.0, 9.0]]]
     tracks = run(scene, answer(label=[0], confidence=[1.0], covariance_px2=covariance))
     assert (tracks.frame.tolist(), tracks.track.tolist(), tracks.label.tolist()) == ([2], [1], [0])
     assert (tracks.boxes_px.tolist(), tracks.covariance_px2.tolist()) == (BOX, covariance)
     assert len(run(scene, answer(label=[-1], confidence=[np.nan]))) == 1
-
-
-def test_an_error_of_a_built_in_tracker_is_its_own_and_a_camera_without_frames_has_no_tracks(scene: Scene) -> None:
     with pytest.raises(ZeroDivisionError):
         run(scene, fails, plugin=False)
     assert len(tracked(named(yields(None)), [sequence(scene, [], [])], [0], scene)) == 0
@@ -196,7 +191,6 @@ def test_working_time_is_that_of_the_tracker_and_not_of_what_makes_its_steps(mon
             clock.now += seconds
             yield each
 
-    feed = Feed(
-        named(lambda frames, camera: frames), "", "step", np.arange(3.0), slow(range(3), 10), partial(slow, seconds=1)
-    )
+    tracker = named(lambda frames, camera: frames)
+    feed = Feed(tracker, "", "step", np.arange(3.0), slow(range(3), 10), partial(slow, seconds=1))
     assert list(feed.answers(lambda count: None)) == [0, 1, 2] and feed.seconds == [1, 1, 1]

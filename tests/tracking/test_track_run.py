@@ -91,7 +91,7 @@ def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
     assert "median" not in repr(result)
 
 
-def test_what_is_written_says_how_it_was_made_and_what_it_has_and_is_the_same_again(run, tmp_path: Path) -> None:
+def test_what_is_written_says_how_it_was_made_is_the_same_again_and_refused_where_it_is_there(run, tmp_path):
     for name in ("a", "b"):
         modsim3d.track_run(run.folder, str(tmp_path / name), tracker="sort", settings={"most": 3})
     files = [{path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b")]
@@ -103,9 +103,6 @@ def test_what_is_written_says_how_it_was_made_and_what_it_has_and_is_the_same_ag
     section = text.split("## What it writes")[1].split("\n## ")[0].split("`tracks.json`")[0]
     columns = pq.read_schema(tmp_path / "a" / "tracks.parquet").names
     assert [name for name in columns if f"`{name}`" not in section] == []
-
-
-def test_what_is_there_is_refused_before_the_work(run: StoredRun, tmp_path: Path) -> None:
     tracks = tmp_path / "tracks"
     modsim3d.track_run(run, tracks, tracker="sort")
     frames: list[int] = []

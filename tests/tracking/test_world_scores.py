@@ -17,13 +17,13 @@ from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
 from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import WorldTracks
 from tests.scenes import camera_keys
-from tests.tracks import sea_runs
-from tests.tracks.sea_runs import ANCHORED, ASTERN, CROSSER, OWN, PLACES_M, STARTS_M, TIMES_S, VELOCITIES_M_S
+from tests.tracks import track_files
+from tests.tracks.track_files import ANCHORED, ASTERN, CROSSER, OWN, PLACES_M, STARTS_M, STEPS, TIMES_S, VELOCITIES_M_S
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return sea_runs.sea_run(tmp_path_factory.mktemp("sea") / "run")
+    return track_files.sea_run(tmp_path_factory.mktemp("sea") / "run")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def values(scores: WorldScores, *names: str) -> list[float | int | None]:
     return [scores.flat()[name] for name in names]
 
 
-def test_a_camera_sees_the_crosser_until_it_leaves_the_image_and_never_own_ship(scored: Any) -> None:
+def test_perfect_tracks_have_no_error_while_seen_and_tracks_shifted_by_3_and_4_metres_errors_of_5(scored, run, rows):
     hidden = np.flatnonzero(~scored[:, ANCHORED])
     assert 1 <= len(hidden) <= 8 and len(hidden) == hidden[-1] - hidden[0] + 1
     # Seen from the camera 5 m ahead of own ship's middle, the crosser then lies in the way.
@@ -67,11 +67,8 @@ def test_a_camera_sees_the_crosser_until_it_leaves_the_image_and_never_own_ship(
     assert scored[:leaves, CROSSER].all() and not scored[leaves:, CROSSER].any()
     # At 20.5 s it is 17.5 m ahead and 22 m to port of own ship: far outside 38.7 degrees.
     assert 10 < TIMES_S[leaves] < 20.5
-
-
-def test_perfect_tracks_have_no_error_and_are_established_at_first_sight(run: StoredRun, rows, scored: Any) -> None:
     scores = score_world(rows, perfect(scored))
-    assert score_world(run, perfect(scored)).flat() == scores.flat() and run.scene.vessel_names == sea_runs.NAMES
+    assert score_world(run, perfect(scored)).flat() == scores.flat() and run.scene.vessel_names == track_files.NAMES
     np.testing.assert_allclose(WorldTruth.of(rows).hulls.centres_m, PLACES_M)
     assert values(scores, "rmse_m", "rmse_m_s", "gospa_m", "id_switches", "track_breaks", "false_tracks") == [0] * 6
     assert values(scores, "vessels", "established", "followed_share") == [2, 2, 1]
@@ -79,17 +76,14 @@ def test_perfect_tracks_have_no_error_and_are_established_at_first_sight(run: St
     for met in scores.encounters:
         if met.seen_s is not None:
             assert (met.established_s, met.established_m) == (met.seen_s, met.seen_m)
-
-
-def test_tracks_shifted_by_3_and_4_metres_have_errors_of_5(rows: RunRows, scored: Any) -> None:
     scores = score_world(rows, perfect(scored, shift_m=(3, 4)))
     assert scores.flat()["rmse_m"] == pytest.approx(5)
     assert values(scores, "rmse_m_low", "rmse_m_high") == [None, None]  # the same for both vessels
-    assert values(scores, "gospa_m", "gospa_localisation_m") == pytest.approx([5 * scored.sum() / sea_runs.STEPS] * 2)
+    assert values(scores, "gospa_m", "gospa_localisation_m") == pytest.approx([5 * scored.sum() / STEPS] * 2)
     assert values(scores, "rmse_m_s", "gospa_missed_m", "gospa_false_m", "nees") == [0, 0, 0, None]
 
 
-def test_nees_of_a_shift_is_its_mahalanobis_distance_or_infinite_if_singular(rows: RunRows, scored: Any) -> None:
+def test_nees_of_a_shift_is_its_mahalanobis_distance_and_of_errors_of_their_covariance_their_dimension(rows, scored):
     whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4)).copy()
     scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
     assert values(scores, "nees", "anees", "nees_velocity", "nees_state", "anees_state") == [5, 2.5, 0, 5, 1.25]
@@ -97,9 +91,6 @@ def test_nees_of_a_shift_is_its_mahalanobis_distance_or_infinite_if_singular(row
     scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
     found = values(scores, "nees", "anees", "nees_low", "nees_velocity", "nees_state")
     assert found == [np.inf, np.inf, None, 0, np.inf]
-
-
-def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
     rng, count = np.random.default_rng(5), 40_000
     factor = rng.normal(size=(4, 4))
     errors = rng.normal(size=(count, 4)) @ factor.T
@@ -109,50 +100,34 @@ def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
     assert np.isnan(nees(errors[:1], np.full((1, 4, 4), np.nan))).all()
 
 
-def test_each_vessel_counts_once_however_long_it_is_followed(rows: RunRows, scored: Any) -> None:
+def test_each_vessel_counts_once_and_a_miss_and_a_false_track_cost_half_the_cutoff_each(rows, scored):
     both = tracks_of([(CROSSER, TIMES_S[:3]), (ANCHORED, TIMES_S)])
     both.position_m[both.track == 0] += (6, 8)
     scores = score_world(rows, both)
     # The t-quantile of 0.975 with one degree of freedom is 12.706, and the standard error of 10 and 0 is 5.
     assert values(scores, "rmse_m", "rmse_m_low", "rmse_m_high") == pytest.approx([5, 5 - 63.531, 5 + 63.531], abs=1e-3)
     assert values(scores, "followed_share") == pytest.approx([(3 / scored[:, CROSSER].sum() + 1) / 2])
-
-
-def test_a_mean_over_few_vessels_has_no_interval_and_one_never_established_is_the_worst_of_a_quartile() -> None:
     assert OverVessels.of(np.array([np.nan])) == OverVessels(None, None, None, 0)
     assert OverVessels.of(np.array([3.0, np.nan])) == OverVessels(3.0, None, None, 1)
     assert quartiles([40.0, None, 10.0, 30.0]) == Quartiles(None, 10.0, 30.0)
     assert quartiles([]) == Quartiles(None, None, None)
-
-
-def test_a_missed_vessel_and_a_false_track_cost_half_the_cutoff_each(rows: RunRows, scored: Any) -> None:
     lost = score_world(rows, tracks_of([(CROSSER, TIMES_S[scored[:, CROSSER]])]))
-    missed = 25 * scored[:, ANCHORED].sum() / sea_runs.STEPS
+    missed = 25 * scored[:, ANCHORED].sum() / STEPS
     assert values(lost, "gospa_m", "gospa_missed_m", "gospa_false_m") == pytest.approx([missed, missed, 0])
     assert values(lost, "vessels", "established") == [2, 1]
     far = tracks_of([(ANCHORED, TIMES_S), (ANCHORED, TIMES_S[10:20])], shift_m=0)
     far.position_m[far.track == 1] += (0, 400)
     ghost = score_world(rows, far, set_distance=SetDistance(cutoff=30, power=1))
-    crosser = 15 * scored[:, CROSSER].sum() / sea_runs.STEPS
+    crosser = 15 * scored[:, CROSSER].sum() / STEPS
     assert values(ghost, "gospa_missed_m", "gospa_false_m") == pytest.approx([crosser, 15 * 10 / 60])
     assert values(ghost, "false_tracks", "false_track_s") == [1, 5.0]
     none = score_world(rows, WorldTracks.of("t", np.zeros(0, dtype=np.int64), (), np.zeros(0), np.zeros((0, 2))))
-    assert values(none, "gospa_m", "followed_share", "established") == [25 * scored.sum() / sea_runs.STEPS, 0, 0]
+    assert values(none, "gospa_m", "followed_share", "established") == [25 * scored.sum() / STEPS, 0, 0]
     assert values(none, "rmse_m", "nees", "pairs", "encounters", "encounters_established") == [None, None, 0, 1, 0]
     assert all(met.established_s is None and met.time_left_s is None for met in none.encounters)
 
 
-def test_a_track_beyond_the_gate_follows_nothing_and_one_on_an_unseen_vessel_is_neither_right_nor_wrong(rows, scored):
-    tracks = tracks_of([(ANCHORED, TIMES_S)], shift_m=(0, 40))
-    assert values(score_world(rows, tracks), "established", "false_tracks", "rmse_m") == [1, 0, 40]
-    assert values(score_world(rows, tracks, gate_m=39), "established", "false_tracks", "rmse_m") == [0, 1, None]
-    seen = [(vessel, TIMES_S[scored[:, vessel]]) for vessel in (CROSSER, ANCHORED)]
-    unseen = [(OWN, TIMES_S), (ASTERN, TIMES_S), (CROSSER, TIMES_S[~scored[:, CROSSER]])]
-    with_them, without = score_world(rows, tracks_of(seen + unseen)), score_world(rows, tracks_of(seen))
-    assert with_them.flat() == without.flat() and with_them.encounters == without.encounters
-
-
-def test_the_track_of_the_step_before_is_kept_and_another_is_a_switch(rows: RunRows) -> None:
+def test_a_track_beyond_the_gate_follows_nothing_and_the_track_of_the_step_before_is_kept(rows, scored):
     # Followed from 1 s on by one track, by the next, by nobody for five steps, and by the third.
     parts = [(2, 10), (10, 20), (25, 30)]
     tracks = tracks_of([(ANCHORED, TIMES_S[slice(*part)]) for part in parts])
@@ -169,6 +144,19 @@ def test_the_track_of_the_step_before_is_kept_and_another_is_a_switch(rows: RunR
     tracks = tracks_of([(ANCHORED, far), (ANCHORED, TIMES_S[31:40]), (CROSSER, TIMES_S[:40])])
     tracks.position_m[tracks.track == 0] += (3, 4)
     assert values(score_world(rows, tracks), "id_switches") == [1]
+    tracks = tracks_of([(ANCHORED, TIMES_S)], shift_m=(0, 40))
+    assert values(score_world(rows, tracks), "established", "false_tracks", "rmse_m") == [1, 0, 40]
+    assert values(score_world(rows, tracks, gate_m=39), "established", "false_tracks", "rmse_m") == [0, 1, None]
+    seen = [(vessel, TIMES_S[scored[:, vessel]]) for vessel in (CROSSER, ANCHORED)]
+    unseen = [(OWN, TIMES_S), (ASTERN, TIMES_S), (CROSSER, TIMES_S[~scored[:, CROSSER]])]
+    with_them, without = score_world(rows, tracks_of(seen + unseen)), score_world(rows, tracks_of(seen))
+    assert with_them.flat() == without.flat() and with_them.encounters == without.encounters
+    times_s = (1_700_000_000 + 0.05 * np.arange(40)) - 1_700_000_000
+    for step in range(1, 40):
+        centres_m = np.where(np.arange(40)[:, None, None] < step, np.nan, [[[3.0, 4.0]]])
+        hulls = HullTracks(times_s, centres_m, centres_m[..., 0], np.ones((1, 2)))
+        truth = WorldTruth(("a",), (), hulls, np.isfinite(centres_m[..., 0]))
+        np.testing.assert_allclose(truth.positions_at(np.array([0.05 * step]), np.array([0])), [[3, 4]])
 
 
 def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored: Any, tmp_path: Path) -> None:
@@ -177,7 +165,7 @@ def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored:
         vessel: camera_keys(1280, 720, focal_length_m=0.008, mount={"vessel": vessel, "position_m": [5, 0, 6]})
         for vessel in ("own", "crosser")
     }
-    both = WorldTruth.of(RunRows.of(sea_runs.sea_run(tmp_path / "run", cameras=cameras, steps=4)))
+    both = WorldTruth.of(RunRows.of(track_files.sea_run(tmp_path / "run", cameras=cameras, steps=4)))
     assert bow.mount.vessel == "own" and scored[:4, CROSSER].all()
     assert both.own_ships == (OWN, CROSSER) and not both.scored[:, [OWN, CROSSER]].any()
     assert both.scored[:, ANCHORED].all()
@@ -197,16 +185,7 @@ def test_the_nearest_estimate_in_time_stands_for_a_step_against_the_place_at_its
     assert scored[:, CROSSER].sum() == 40 and slower.flat()["pairs"] == scored[:59, ANCHORED].sum() + 39
 
 
-def test_a_vessel_is_where_it_appears_whatever_the_last_bits_of_times_since_1970_are() -> None:
-    times_s = (1_700_000_000 + 0.05 * np.arange(40)) - 1_700_000_000
-    for step in range(1, 40):
-        centres_m = np.where(np.arange(40)[:, None, None] < step, np.nan, [[[3.0, 4.0]]])
-        hulls = HullTracks(times_s, centres_m, centres_m[..., 0], np.ones((1, 2)))
-        truth = WorldTruth(("a",), (), hulls, np.isfinite(centres_m[..., 0]))
-        np.testing.assert_allclose(truth.positions_at(np.array([0.05 * step]), np.array([0])), [[3, 4]])
-
-
-def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, scored: Any) -> None:
+def test_an_encounter_has_the_numbers_of_two_straight_lines_and_late_estimates_their_own_time(rows, scored):
     # From own ship the crosser is at (120 − 5 t, −60 + 4 t): least distance 180 / √41 m at 840 / 41 s.
     tracks = tracks_of([(CROSSER, TIMES_S[6:20])])
     met = {each.vessel: each for each in score_world(rows, tracks).encounters}
@@ -223,9 +202,6 @@ def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, score
     keys = score_world(rows, tracks).flat()
     assert (keys["encounters"], keys["encounters_established"]) == (1, 1)
     assert keys["established_m"] == keys["established_m_lower"] == pytest.approx(np.hypot(105, 48))
-
-
-def test_an_estimate_after_its_step_establishes_at_its_own_time_and_far_vessels_are_not_met(rows) -> None:
     (crosser, *_) = score_world(rows, tracks_of([(CROSSER, TIMES_S[4:10] + 0.2)])).encounters
     at = (crosser.established_s, crosser.established_m)
     assert at == pytest.approx((2.2, np.hypot(120 - 5 * 2.2, -60 + 4 * 2.2)))
@@ -234,7 +210,7 @@ def test_an_estimate_after_its_step_establishes_at_its_own_time_and_far_vessels_
     assert not score_world(rows, tracks, encounter_m=28).encounters
 
 
-def test_distances_must_be_above_zero_and_image_rules_are_refused_in_the_world(run, rows, scored, tmp_path) -> None:
+def test_distances_must_be_above_zero_and_the_page_marks_vessels_that_no_track_followed(run, rows, scored, tmp_path):
     for wrong in ({"gate_m": 0.0}, {"gate_m": np.nan}, {"encounter_m": -1.0}):
         with pytest.raises(ModsimError, match="must be above 0 metres"):
             score_world(rows, perfect(scored), **wrong)
@@ -249,30 +225,24 @@ def test_distances_must_be_above_zero_and_image_rules_are_refused_in_the_world(r
         with pytest.raises(ModsimError, match=said):
             score_run(run, tmp_path / "one.csv", **rules)
     assert score_run(run, tmp_path / "one.csv", threshold=0.5, gate_m=20.0, gospa_c=30.0, gospa_p=2.0).world
-
-
-def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run: StoredRun, tmp_path: Path) -> None:
     w1_m, w2_m = PLACES_M[:9, CROSSER].T
     columns = {"time_s": TIMES_S[:9], "track": ["a"] * 9, "w1_m": w1_m, "w2_m": w2_m}
-    page = score_page(score_run(run, sea_runs.write_csv(tmp_path / "one.csv", columns)))
+    page = score_page(score_run(run, track_files.write_csv(tmp_path / "one.csv", columns)))
     assert "one: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
     assert page.count('<tr class="bad"><td data-label="vessel">anchored</td>') == page.count('<tr class="bad">') == 1
 
 
-def test_a_track_that_takes_over_is_a_switch_of_t_gospa_and_half_a_trajectory_of_ospa2(rows: RunRows) -> None:
+def test_a_track_that_takes_over_is_a_switch_and_predicted_closest_approaches_are_those_by_hand(rows):
     keys = ("t_gospa_switch_m", "t_gospa_missed_m", "t_gospa_false_m", "t_gospa_localisation_m")
     seen, halves = WorldTruth.of(rows).scored, tracks_of([(ANCHORED, TIMES_S[:30]), (ANCHORED, TIMES_S[30:])])
-    missed = 25 * seen[:, CROSSER].sum() / sea_runs.STEPS
+    missed = 25 * seen[:, CROSSER].sum() / STEPS
     found = score_world(rows, halves)
-    assert values(found, *keys) == pytest.approx([50 / sea_runs.STEPS, missed, 0, 0])
-    assert values(found, "t_gospa_m") == pytest.approx([missed + 50 / sea_runs.STEPS])
+    assert values(found, *keys) == pytest.approx([50 / STEPS, missed, 0, 0])
+    assert values(found, "t_gospa_m") == pytest.approx([missed + 50 / STEPS])
     assert values(score_world(rows, halves, set_distance=SetDistance(50, 1, 6)), keys[0]) == pytest.approx([6 / 60])
     # The run is one window. A half goes to the anchored vessel, which it lacks for the other half, the other to none.
     longer = max(seen[:30, ANCHORED].sum(), seen[30:, ANCHORED].sum()) / seen[:, ANCHORED].sum()
     assert values(found, "ospa2_m") == pytest.approx([(50 * (1 - longer) + 50) / 2])
-
-
-def test_predicted_closest_approaches_are_those_of_straight_lines_worked_out_by_hand(rows: RunRows) -> None:
     # 10 s before the CPA, the last step is at 10 s: then the crosser is at (70, −20) from own ship and makes (−5, 4).
     seen = TIMES_S[:36]
     truth_m, truth_s = 180 / np.sqrt(41), 840 / 41

@@ -57,7 +57,7 @@ def said(call, *arguments):
     return ""
 
 
-def test_boxes_by_corners_or_centres_at_steps_or_times_in_any_order_are_the_same_tracks(read, small_rows, small_tracks):
+def test_boxes_in_any_form_and_order_and_with_optional_columns_are_the_same_tracks(read, small_rows, small_tracks):
     text = csv_text(small_rows, small_tracks)
     found = read(text)
     assert (found.name, found.origin) == ("mine", None)
@@ -67,9 +67,6 @@ def test_boxes_by_corners_or_centres_at_steps_or_times_in_any_order_are_the_same
     backwards = "\n".join([head, *reversed(lines), "", ""])
     for each in (found, read(by_centres), read(by_times), read(backwards)):
         assert_close(each.tracks, small_tracks)
-
-
-def test_optional_columns_may_be_empty_and_marks_white_space_and_other_line_ends_are_passed_over(read, small_rows):
     labels = small_rows.scene.detector.labels
     text = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2\n"
     found = read(f"{text}bow,0,1,10,20,30,40,{labels[1]},0.5,4,1,9\nbow,0,2,10,20,30,40,,,,,\n").tracks
@@ -153,15 +150,7 @@ def test_a_wrong_line_is_named(read):
     assert len(many.splitlines()) == 12 and many.endswith("… and 490 more lines")
 
 
-def test_a_track_may_coast_out_of_the_image_as_far_as_it_likes(read):
-    lines = ["bow,0,1,10,20,30,40", "bow,1,1,9000,20,9030,40", "bow,2,1,-99000,20,-98000,40"]
-    assert len(read("\n".join([HEADER, *lines])).tracks) == 3
-    message = said(read, "\n".join([HEADER, *lines, "quay,1,1,9000,20,9030,40"]))
-    assert "line 5: the box lies more than an image away" in message  # another camera's track 1
-    assert len(message.splitlines()) == 2
-
-
-def test_wrong_columns_are_named(read):
+def test_wrong_columns_are_named_and_a_track_may_coast_out_of_the_image_as_far_as_it_likes(read):
     for header, what in (
         ("camera;step;track", "line 1 must name the columns, with commas between them: camera,step,track,x_min_px,"),
         ("", "line 1 must name the columns"),
@@ -178,25 +167,30 @@ def test_wrong_columns_are_named(read):
         (f"sep=,\n{HEADER}", ": line 1 is for spreadsheets alone, leave it out"),
     ):
         assert what in said(read, f"{header}\n"), header[:100]
+    lines = ["bow,0,1,10,20,30,40", "bow,1,1,9000,20,9030,40", "bow,2,1,-99000,20,-98000,40"]
+    assert len(read("\n".join([HEADER, *lines])).tracks) == 3
+    message = said(read, "\n".join([HEADER, *lines, "quay,1,1,9000,20,9030,40"]))
+    assert "line 5: the box lies more than an image away" in message  # another camera's track 1
+    assert len(message.splitlines()) == 2
 
 
-def test_times_in_another_unit_are_named(read, small_rows, small_tracks):
+def test_times_in_another_unit_are_named_and_tracks_that_fit_nothing_read_as_they_are(read, small_rows, small_tracks):
     head, *lines = csv_text(small_rows, small_tracks, when="time_s").splitlines()
     cells = [line.split(",") for line in lines]
     for unit, scale in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
         scaled = (",".join([camera, f"{float(time) * scale:.12g}", *rest]) for camera, time, *rest in cells)
         what = f"(seconds since the first step): they seem to be {unit}, must be seconds"
         assert what in said(read, "\n".join([head, *scaled])), unit
+    corner = np.random.default_rng(5).uniform(0, [1800, 1000], (len(small_tracks), 2))
+    found = read(csv_text(small_rows, small_tracks, np.column_stack([corner, corner + 40])))
+    assert len(found.tracks) == len(small_tracks)
 
 
-def test_identities_that_lost_digits_are_refused(read, read_mot, small_rows, small_tracks):
+def test_identities_that_lost_digits_and_times_of_no_frame_are_refused(read, read_mot, small_rows, small_tracks):
     assert "line 2: track is a number in scientific notation" in said(read, f"{HEADER}\nbow,1,2.19E+08,1,1,2,3\n")
     assert read(f"{HEADER}\nbow,1,2.0E+00,1,1,2,3\n").tracks.track.tolist() == [2]
     texts = {name: re.sub(",[0-9]+,", ",2.19E+08,", text) for name, text in mot_texts(small_rows, small_tracks).items()}
     assert "identity is a number in scientific notation" in said(read_mot, texts)
-
-
-def test_a_time_must_be_that_of_a_frame_and_of_its_step(read, small_rows):
     header = HEADER.replace("step", "time_s")
     time_s = small_rows.scene.times_s(0, 8)[2]
     assert read(f"{header}\nbow,{time_s + 0.0004},1,1,2,3,4\n").tracks.step.tolist() == [2]
@@ -221,7 +215,7 @@ def test_a_wrong_mot_line_is_named(read_mot):
         assert "bow.txt" in message.partition("\n")[0] and f"line 2: {what}" in message, (line, message)
 
 
-def test_wrong_mot_files_are_named(small_run, small_rows, tmp_path):
+def test_wrong_mot_files_and_a_path_that_is_no_tracks_are_named(small_run, small_rows, tmp_path):
     for number, (texts, what) in enumerate(
         [
             ({"bow.txt": ""}, "quay.txt is missing: a tracker that found nothing leaves an empty file"),
@@ -232,9 +226,6 @@ def test_wrong_mot_files_are_named(small_run, small_rows, tmp_path):
         ]
     ):
         assert what in said(read_tracks, write_mot(tmp_path / str(number), texts), small_run, small_rows)
-
-
-def test_a_path_that_is_no_tracks_is_refused(small_run, small_rows, tmp_path):
     (tmp_path / "bow.txt").write_text("")
     (tmp_path / "tracks.xml").write_text("")
     for name, what in {
@@ -404,9 +395,3 @@ def test_pixels_from_zero_of_a_smoother_and_from_one_are_recognised_in_clear_tru
     (tmp_path / "any.csv").write_text(csv_text(rows, tracks, tracks.boxes_px + 1))
     what = "pixels are counted from 1, must be counted from 0 (then half of"
     assert what in said(read_tracks, tmp_path / "any.csv", run, rows)
-
-
-def test_tracks_that_fit_no_detection_are_read_as_they_are(read, small_rows, small_tracks):
-    corner = np.random.default_rng(5).uniform(0, [1800, 1000], (len(small_tracks), 2))
-    found = read(csv_text(small_rows, small_tracks, np.column_stack([corner, corner + 40])))
-    assert len(found.tracks) == len(small_tracks)

@@ -71,16 +71,13 @@ def test_the_same_tracks_give_the_same_bytes_and_columns_say_what_they_are(writt
         assert field.metadata[b"unit"].decode() == {"px": "px", "px2": "px²"}.get(field.name.split("_")[-1], "")
 
 
-def test_tracks_are_not_written_over_unasked_nor_without_an_origin(written, small_run, small_tracks, tmp_path):
+def test_tracks_are_not_written_over_and_those_of_another_seed_are_refused(written, small_run, small_tracks, tmp_path):
     with pytest.raises(OutputError, match="--overwrite"):
         write_tracks(written, small_run, TrackSet("toy", small_tracks, ORIGIN), overwrite=False)
     write_tracks(written, small_run, TrackSet("toy", small_tracks.take(np.arange(3)), ORIGIN), overwrite=True)
     assert pq.read_metadata(written / "tracks.parquet").num_rows == 3
     with pytest.raises(ModsimError, match="no origin"):
         write_tracks(tmp_path / "x", small_run, TrackSet("mine", small_tracks, None), overwrite=False)
-
-
-def test_tracks_of_another_seed_are_refused(written, tmp_path):
     other = scene_run(tmp_path / "run", "strait", seed=4)
     with pytest.raises(ModsimError, match=r"another run: seed was 3, and is 4"):
         read_tracks(written, other, RunRows.of(other))

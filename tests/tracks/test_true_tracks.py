@@ -43,14 +43,11 @@ def test_a_vessel_that_was_away_for_longer_than_the_gap_is_a_new_identity(tmp_pa
     assert len(np.unique(TrueTracks.of(rows, gap_s=0).identity)) == (1 if away_s == 1 else 2)
 
 
-def test_an_absence_as_long_as_the_gap_is_none_whatever_the_last_bits_of_times_are() -> None:
+def test_an_absence_as_long_as_the_gap_is_none_and_a_hidden_vessel_keeps_its_identity(tmp_path):
     for frame in range(20):
         rows = rows_by_hand([(frame, 0, box()), (frame + 10, 0, box())], 31, step_s=0.2)
         assert TrueTracks.of(rows, gap_s=2).identity.tolist() == [0, 0]
         assert TrueTracks.of(rows, gap_s=1.999).identity.tolist() == [0, 1]
-
-
-def test_a_hidden_vessel_keeps_its_identity_and_is_not_scored_even_if_annotated(tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "run", {"a": [FRONT] * 6, "b": [(200.0, 30.0), *[BEHIND] * 4, (200.0, 30.0)]})
     truth = TrueTracks.of(rows, gap_s=0)
     b = truth.vessel == 1
@@ -89,7 +86,7 @@ def tracks(rows: list[Row]) -> Tracks:
     return Tracks.of(1, *(np.array(column) for column in zip(*((f, t, box_at(x)) for f, t, x in rows), strict=True)))
 
 
-def test_a_track_keeps_its_vessel_as_long_as_it_is_alike_enough() -> None:
+def test_a_track_keeps_its_vessel_while_alike_enough_and_on_a_hidden_one_is_neither_right_nor_wrong():
     """The vessels, the tracks, and the row of the track that follows each vessel."""
     start, later = [(0, 7, 0.0)], [(2, 7, 3.0), (2, 8, 1.0)]
     for why, vessels, others, expected in (
@@ -103,9 +100,6 @@ def test_a_track_keeps_its_vessel_as_long_as_it_is_alike_enough() -> None:
         found = follow(true_tracks(vessels), tracks(others), Similarity())
         assert found.track_row.tolist() == expected, why
         assert found.truth_row[found.track_row[found.found]].tolist() == np.flatnonzero(found.found).tolist(), why
-
-
-def test_a_track_on_a_hidden_vessel_is_neither_right_nor_wrong_and_without_truth_every_track_is_false() -> None:
     truth = true_tracks([(0, 1, 0), (0, 2, 100)], hidden=(1,))
     found = follow(truth, tracks([(0, 7, 0), (0, 8, 100), (0, 9, 500)]), Similarity())
     assert (found.counted.tolist(), found.false.tolist()) == ([True, False, True], [False, False, True])
@@ -114,9 +108,8 @@ def test_a_track_on_a_hidden_vessel_is_neither_right_nor_wrong_and_without_truth
 
 
 def test_centre_similarity_falls_linearly_to_the_scale_and_one_that_cannot_be_is_refused() -> None:
-    alike = Similarity("centre", scale_px=20)(
-        np.array([box_at(0)]), np.array([box_at(0), box_at(5), box_at(20), box_at(90)])
-    )
+    others = np.array([box_at(0), box_at(5), box_at(20), box_at(90)])
+    alike = Similarity("centre", scale_px=20)(np.array([box_at(0)]), others)
     np.testing.assert_allclose(alike, [1, 0.75, 0, 0])
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"name": "centre"}, "similarity centre needs scale_px"),
@@ -152,9 +145,8 @@ def test_cameras_remember_on_their_own_and_numbers_of_tracks_are_their_own() -> 
     """Two cameras: frames 0 and 2 are of the first, 1 of the second."""
     rows, boxes = np.arange(3), np.array([box_at(0)] * 3)
     truth = TrueTracks(2, rows, rows, rows * 0, np.array([0, 1, 0]), rows * 0, boxes, rows >= 0, rows < 0)
-    given = Tracks.of(
-        2, np.array([0, 1, 2, 2]), np.array([7, 9, 7, 8]), np.array([box_at(0), box_at(0), box_at(3), box_at(1)])
-    )
+    boxes = np.array([box_at(0), box_at(0), box_at(3), box_at(1)])
+    given = Tracks.of(2, np.array([0, 1, 2, 2]), np.array([7, 9, 7, 8]), boxes)
     assert follow(truth, given, Similarity()).track_row.tolist() == [0, 1, 2]
     numbers = Tracks.of(2, np.array([3, 0, 1, 2]), np.array([5, 5, 5, 4]), np.zeros((4, 4)))
     assert (numbers.frame.tolist(), numbers.identity.tolist()) == ([0, 1, 2, 3], [1, 2, 0, 2])

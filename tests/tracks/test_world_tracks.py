@@ -19,7 +19,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import places
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.tracks.world_reading import is_world, read_world_tracks
-from tests.tracks.sea_runs import CROSSER, ORIGIN, PLACES_M, TIMES_S, VELOCITIES_M_S, sea_run, write_csv
+from tests.tracks.track_files import CROSSER, ORIGIN, PLACES_M, TIMES_S, VELOCITIES_M_S, sea_run, write_csv
 
 TWO = [CROSSER, 3]
 STATE_COVARIANCE = np.array([[9.0, 1, 0.5, 0.2], [1, 4, 0.1, 0.3], [0.5, 0.1, 0.25, 0.05], [0.2, 0.3, 0.05, 0.16]])
@@ -73,7 +73,7 @@ def read_csv(run: StoredRun, tmp_path: Path) -> Callable[[dict[str, Any]], World
     return lambda columns: read_world_tracks(write_csv(tmp_path / "t.csv", columns), run)
 
 
-def test_csv_is_read_by_track_and_time_or_step_and_may_have_column_names_only(read_csv) -> None:
+def test_csv_is_read_by_track_and_time_with_covariances_or_latitude_and_longitude(read_csv):
     tracks = read_csv(rows())
     assert (tracks.track_names, tracks.name, tracks.interval_s) == (("a", "b"), "t", 0.5)
     np.testing.assert_array_equal(tracks.time_s, np.tile(TIMES_S, 2))
@@ -86,17 +86,11 @@ def test_csv_is_read_by_track_and_time_or_step_and_may_have_column_names_only(re
     for track, interval_s in (([0, 0, 1, 2], 1), ([0, 1, 2, 3], 0)):  # that between estimates of one track
         found = WorldTracks.of("t", np.array(track), tuple("abcd")[: max(track) + 1], times_s, np.zeros((4, 2)))
         assert found.interval_s == interval_s
-
-
-def test_covariances_of_the_state_stand_in_its_order(read_csv) -> None:
     tracks = read_csv(with_covariances(4))
     np.testing.assert_array_equal(tracks.covariance, np.broadcast_to(STATE_COVARIANCE, (len(tracks), 4, 4)))
     of_position = read_csv(with_covariances(2)).covariance
     np.testing.assert_array_equal(of_position[:, :2, :2], tracks.covariance[:, :2, :2])
     assert np.isnan(of_position[:, 2:]).all()
-
-
-def test_latitude_and_longitude_equal_scene_axes(read_csv) -> None:
     in_scene = rows()
     latitude, longitude = places(np.column_stack([in_scene["w1_m"], in_scene["w2_m"]]), ORIGIN)
     # w2 at a place east of the origin points to the left of north there, by the convergence of the meridians.
@@ -153,10 +147,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "millimetres": (changed(w1_m=2e5, w2_m=0.0), "more than 100 km .* millimetres, must be metres"),
     "elsewhere": (changed(w1_m=3e12, w2_m=0.0), "more than 100 km .* metres along w1 and w2"),
     "swapped": (all_at(10.4, 63.4), "more than 100 km .*: latitude and longitude seem to be swapped"),
-    "swapped by far": (
-        all_at(120.0, 30.0),
-        r"line 2: is no latitude.*\(got 120 and 30\): are latitude and longitude swap",
-    ),
+    "swapped by far": (all_at(120.0, 30.0), r"line 2: is no latitude.*\(got 120 and 30\): are latitude and longitude"),
     "radians": (all_at(*np.deg2rad(ORIGIN)), "seem to be radians, must be degrees"),
 }
 
@@ -168,12 +159,17 @@ def test_what_is_wrong_with_csv_is_said(name: str, read_csv) -> None:
         read_csv(columns)
 
 
-def test_a_step_beside_a_time_may_be_rounded_or_left_blank(read_csv) -> None:
+def test_a_step_beside_a_time_may_be_rounded_and_steps_without_the_first_are_refused(read_csv):
     step_s = float(np.median(np.diff(TIMES_S)))
     steps = STEPS.astype(float)
     steps[3] = np.nan
     found = read_csv(changed(time_s=np.repeat(TIMES_S, 2) + 0.4 * step_s, step=steps))
     np.testing.assert_allclose(found.time_s, np.tile(TIMES_S + 0.4 * step_s, 2))
+    later = {"track": ["a"] * 59, "step": range(59), "w1_m": PLACES_M[1:, CROSSER, 0], "w2_m": PLACES_M[1:, CROSSER, 1]}
+    with pytest.raises(InputError, match=r"steps of the positions are a step too low: was the first step left out\?"):
+        read_csv(later)
+    for names in (["1e10", "12345e06"], ["0e02", "1e03"]):
+        assert len(read_csv(changed(track=names * 60))) == 120
 
 
 def near(noise_m: float) -> np.ndarray:
@@ -216,24 +212,13 @@ def test_a_tracker_that_is_right_late_or_lost_or_wrong_about_ranges_is_not_refus
         assert len(read_csv(changed(w1_m=at[:, 0], w2_m=at[:, 1]))) == 120
 
 
-def test_marks_and_line_ends_change_nothing(run: StoredRun, tmp_path: Path) -> None:
+def test_marks_and_line_ends_change_nothing_and_cells_without_commas_are_named(run, tmp_path):
     path = write_csv(tmp_path / "t.csv", changed(track=["b\u00e5t", "b"] * 60))
     expected, text = read_world_tracks(path, run), path.read_bytes()
     for mark, end in product((b"", b"\xef\xbb\xbf"), (b"\n", b"\r\n", b"\r")):
         path.write_bytes(mark + text.replace("\u00e5".encode(), "a\u030a".encode()).replace(b"\n", end))
         assert is_world(path), (mark, end)
         equal(read_world_tracks(path, run), expected)
-
-
-def test_steps_that_leave_out_the_first_are_refused_and_names_that_only_look_like_lost_digits_are_not(read_csv) -> None:
-    later = {"track": ["a"] * 59, "step": range(59), "w1_m": PLACES_M[1:, CROSSER, 0], "w2_m": PLACES_M[1:, CROSSER, 1]}
-    with pytest.raises(InputError, match=r"steps of the positions are a step too low: was the first step left out\?"):
-        read_csv(later)
-    for names in (["1e10", "12345e06"], ["0e02", "1e03"]):
-        assert len(read_csv(changed(track=names * 60))) == 120
-
-
-def test_cells_without_commas_are_named(run: StoredRun, tmp_path: Path) -> None:
     path = write_csv(tmp_path / "t.csv", changed())
     text = path.read_text()
     for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
@@ -243,15 +228,12 @@ def test_cells_without_commas_are_named(run: StoredRun, tmp_path: Path) -> None:
             read_world_tracks(path, run)
 
 
-def test_latitude_and_longitude_need_an_origin(tmp_path: Path) -> None:
+def test_latitude_and_longitude_need_an_origin_and_a_bag_without_rosbags_names_the_extra(tmp_path, run, monkeypatch):
     nowhere = sea_run(tmp_path / "run", origin=None, steps=3)
     with pytest.raises(InputError, match="no such file"):
         read_world_tracks("nowhere.csv", nowhere)
     with pytest.raises(InputError, match="scene has no origin: give the scene the key origin"):
         read_world_tracks(write_csv(tmp_path / "t.csv", all_at(*ORIGIN)), nowhere)
-
-
-def test_a_bag_without_rosbags_names_the_extra(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = write_bag(tmp_path / "bag", {"/t": (ODOMETRY, odometries()[:2])})
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(ModsimError, match=r'pip install "modsim3d\[ros\]"'):
