@@ -11,7 +11,7 @@ from benchmarks.stand_in.sighted import Sighted, on_one_grid, pairs_of_images
 from modsim3d.core.boxes import unions
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import Annotations, LabelledSet
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 
 IMAGES, VESSELS = 24, 4
 FILMS = tuple(f"film {number}" for number in range(6))
@@ -55,14 +55,11 @@ def usual():
     return [output(seed) for seed in (1, 2, 3)]
 
 
-def test_pairs_of_images_are_all_pairs_of_equal_images():
+def test_pairs_are_all_of_equal_images_and_rounding_order_and_threshold_leave_no_trace():
     first, second = np.array([2, 0, 1, 0]), np.array([0, 1, 0, 3])
     ours, theirs = pairs_of_images(first, second)
     expected = {(i, j) for i, a in enumerate(first) for j, b in enumerate(second) if a == b}
     assert set(zip(ours.tolist(), theirs.tolist(), strict=True)) == expected and len(ours) == len(expected)
-
-
-def test_rounding_order_and_threshold_of_a_file_leave_no_trace_and_boxes_are_cut_at_the_edge():
     film = film_truth(0)
     exact, rng = detected(film, 1), np.random.default_rng(5)
     shuffled = rng.permutation(len(exact.results))
@@ -117,7 +114,7 @@ def test_a_frame_tells_false_detections_by_what_they_lie_on():
     assert column(table, "share newly missed")[1] == 1
 
 
-def test_a_simulated_detector_cannot_be_told_from_itself(usual):
+def test_a_simulated_detector_cannot_be_told_from_itself_nor_by_a_film_that_was_learned_from(usual):
     simulated = {name: [each[name] for each in usual[:2]] for name in FILMS}
     told = between_seeds(FILMS, simulated, 0.25)
     assert told["frames"]["auc"] == pytest.approx(0.5, abs=0.1)
@@ -125,17 +122,6 @@ def test_a_simulated_detector_cannot_be_told_from_itself(usual):
     assert len(told["tracks"]["aucs"]) == 2
     told = tell_apart(FILMS, usual[2], simulated, 0.25, kinds=("frames",), importance=False)["frames"]
     assert told["low"] < 0.5 < told["high"] and told["rows"] == len(FILMS) * IMAGES
-
-
-def test_no_classifier_is_asked_about_a_film_that_it_learned_from():
-    film = np.repeat(np.arange(10), 6)
-    rows = Rows(Table(("value",), ("misses",), film[:, None] * 1.0), film, np.tile([True, False], 30), 10, 1)
-    asked = [fold.rows for fold in _folds(rows, 1, 0)]
-    assert np.array_equal(np.sort(np.concatenate(asked)), np.arange(60))
-    assert sum(map(len, [set(film[each].tolist()) for each in asked])) == 10
-
-
-def test_larger_errors_are_told_and_named_and_a_few_films_are_refused(usual):
     films = FILMS[:4]  # so large a difference needs no more
     simulated = {name: [usual[0][name]] for name in films}
     told = tell_apart(films, output(7, spread_px=2.5), simulated, 0.25, kinds=("frames",))["frames"]
@@ -149,3 +135,8 @@ def test_larger_errors_are_told_and_named_and_a_few_films_are_refused(usual):
     simulated = {name: [usual[1][name]] for name in FILMS}
     with pytest.raises(ModsimError, match=r"at least 3 films with tracks are needed .* \(got 2\)"):
         tell_apart(FILMS[:2], usual[0], simulated, 0.25, kinds=("tracks",))
+    film = np.repeat(np.arange(10), 6)
+    rows = Rows(Table(("value",), ("misses",), film[:, None] * 1.0), film, np.tile([True, False], 30), 10, 1)
+    asked = [fold.rows for fold in _folds(rows, 1, 0)]
+    assert np.array_equal(np.sort(np.concatenate(asked)), np.arange(60))
+    assert sum(map(len, [set(film[each].tolist()) for each in asked])) == 10

@@ -142,7 +142,7 @@ def fix_s(line) -> int:
     return since - (since - line.message.second) % 60
 
 
-def test_the_log_is_in_order_of_time_and_own_ship_is_in_it_once_a_second(log, vessels):
+def test_the_log_is_in_order_without_truth_and_each_vessel_sends_as_its_class_does(log, vessels, out):
     times = [each.time_s for each in log]
     assert times == sorted(times)
     own = [each for each in positions(log) if each.own]
@@ -151,9 +151,11 @@ def test_the_log_is_in_order_of_time_and_own_ship_is_in_it_once_a_second(log, ve
     assert not [each for each in log if not each.own and vessels[each.message.mmsi] == "own"]
     first = next(each.message for each in log if each.message.msg_type == 5 and each.own)
     assert (first.to_bow + first.to_stern, first.to_port + first.to_starboard) == (12, 4)
-
-
-def test_each_vessel_sends_as_its_class_does(log, vessels, out):
+    text = (out / "ais.nmea").read_bytes()
+    decoded = " ".join(str(each.message) for each in log)
+    for name in SIZES.keys() - {"219000001"}:
+        assert name.encode() not in text.lower() and name.upper() not in decoded.upper()
+    assert {each.message.shipname.split()[0] for each in log if each.message.msg_type == 5} == {"SIM"}
     kinds: dict[str, set[int]] = {}
     for each in log:
         kinds.setdefault(vessels[each.message.mmsi], set()).add(each.message.msg_type)
@@ -168,7 +170,7 @@ def test_each_vessel_sends_as_its_class_does(log, vessels, out):
     assert rows["219000001"]["mmsi"] == "219000001"
 
 
-def test_vessels_send_as_often_as_they_should_while_they_are_there(log, vessels):
+def test_vessels_send_as_often_as_they_should_and_tell_speed_course_and_turn_over_ground(log, vessels):
     """Interval 3⅓ s, and 6 s twice, as far as nothing is lost; 500 s with a tenth of the reports lost."""
     for name, interval in (("turner", 10 / 3), ("big ship", 6.0), ("219000001", 2.0)):
         low, high = stats.binom.ppf([1e-4, 1 - 1e-4], round(STEPS / interval), 0.9)
@@ -178,6 +180,19 @@ def test_vessels_send_as_often_as_they_should_while_they_are_there(log, vessels)
     seconds = np.array([fix_s(each) for each in positions(log, vessels, "visitor")])
     assert (((seconds >= 60) & (seconds <= 200)) | ((seconds >= 300) & (seconds <= 430))).all()
     assert (seconds < 200).sum() > 10 and (seconds >= 300).sum() > 10
+
+    def of(name, field):
+        return np.array([getattr(each.message, field) for each in positions(log, vessels, name)])
+
+    knots = np.sqrt(72) * 3600 / 1852
+    assert of("big ship", "speed").mean() == pytest.approx(knots, abs=0.1)
+    assert of("big ship", "course").mean() == pytest.approx(45, abs=0.5)
+    assert (of("anchored", "status") == 1).all() and (of("big ship", "status") == 0).all()
+    assert (of("anchored", "speed") < 3).all()
+    turn = of("turner", "turn")
+    assert np.median(turn) == pytest.approx(-60, abs=4)  # a degree a second to port
+    assert (of("own", "turn") == -128).all()  # too short for a gyrocompass
+    assert (of("sloop", "heading") == 511).all()
 
 
 def test_reports_lie_about_the_truth_as_far_as_the_noise_explains(log, vessels):
@@ -205,29 +220,6 @@ def test_reports_lie_about_the_truth_as_far_as_the_noise_explains(log, vessels):
         assert root < 3 * 3 + 2, name
     everything = np.concatenate([np.array(found[:: len(found) // 2 + 1]) for found in errors.values()])
     assert 1 < np.sqrt(np.mean(everything**2)) < 6
-
-
-def test_speed_course_and_turn_are_over_ground(log, vessels):
-    def of(name, field):
-        return np.array([getattr(each.message, field) for each in positions(log, vessels, name)])
-
-    knots = np.sqrt(72) * 3600 / 1852
-    assert of("big ship", "speed").mean() == pytest.approx(knots, abs=0.1)
-    assert of("big ship", "course").mean() == pytest.approx(45, abs=0.5)
-    assert (of("anchored", "status") == 1).all() and (of("big ship", "status") == 0).all()
-    assert (of("anchored", "speed") < 3).all()
-    turn = of("turner", "turn")
-    assert np.median(turn) == pytest.approx(-60, abs=4)  # a degree a second to port
-    assert (of("own", "turn") == -128).all()  # too short for a gyrocompass
-    assert (of("sloop", "heading") == 511).all()
-
-
-def test_no_truth_is_in_the_log(out, log):
-    text = (out / "ais.nmea").read_bytes()
-    decoded = " ".join(str(each.message) for each in log)
-    for name in SIZES.keys() - {"219000001"}:
-        assert name.encode() not in text.lower() and name.upper() not in decoded.upper()
-    assert {each.message.shipname.split()[0] for each in log if each.message.msg_type == 5} == {"SIM"}
 
 
 def test_the_same_run_gives_the_same_bytes_and_neither_another_vessel_nor_blocks_show(run, out, tmp_path, monkeypatch):
@@ -326,16 +318,13 @@ def exported(scene: Scene, folder) -> list[Line]:
     return read((folder / "out" / "ais.nmea").read_bytes())
 
 
-def test_a_scene_in_which_nobody_sends_and_one_of_one_step_give_a_log(tmp_path):
+def test_a_scene_in_which_nobody_sends_and_a_live_run_are_exported_as_any_other(tmp_path, monkeypatch):
     nobody = {"vessels": dict.fromkeys(SIZES, "none")}
     assert not exported(scene_of(ais=nobody, steps=5), tmp_path / "nobody")
     assert (tmp_path / "nobody" / "out" / "ais.nmea").read_bytes() == b""
     assert (tmp_path / "nobody" / "out" / "ais_truth.csv").read_text().count("none") == len(SIZES)
     (own, *_) = [each for each in exported(scene_of(steps=1), tmp_path / "one") if each.own]
     assert (own.message.speed, own.message.course, own.time_s) == (102.3, 360.0, EPOCH_S)
-
-
-def test_a_live_run_is_exported_as_any_other(tmp_path, monkeypatch):
     text = "".join(live_lines(21)).encode()
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(text)))
     run_scene(live_scene(tmp_path), tmp_path / "run")

@@ -37,12 +37,9 @@ USUAL += [("Fishing", 15, False, ("A", 30)), ("Fishing", 14.9, False, ("B", 30))
 USUAL += [("HighSpeed", 30, False, ("A", 40)), ("Cargo", 130, False, ("A", 70)), ("Tug", 12, False, ("A", 52))]
 
 
-def test_class_and_type_follow_label_and_size():
+def test_class_and_ids_follow_label_and_size_and_intervals_are_those_of_the_standard():
     for label, length_m, own, expected in USUAL:
         assert sensors.usual(Vessel("x", label, length_m, 3, 3), own) == expected, label
-
-
-def test_an_id_that_is_a_ships_number_stays_and_all_others_get_numbers_of_no_country_each_its_own():
     names = ["219000001", "own", "982190001", "119000001", "21900000", "", "kutter æøå"]
     numbers = sensors.mmsi_of(names)
     assert (numbers[0], numbers[2]) == (219000001, 982190001)
@@ -54,6 +51,21 @@ def test_an_id_that_is_a_ships_number_stays_and_all_others_get_numbers_of_no_cou
     assert len({int(number) for number in sensors.mmsi_of([*names, *map(str, numbers)])}) == 2 * len(names)
     drawn = sorted((number - sensors.MADE_UP_MMSI) / 1e6 for number in numbers)
     assert stats.kstest(drawn, "uniform").pvalue > 1e-3
+    # ITU-R M.1371-5, annex 1, tables 1 and 2.
+    for speed_kn, ais_class, at_rest, expected in INTERVALS:
+        found = reporting.rate(seen(10, speed_kn), ais_class, at_rest)
+        assert (found.intervals_s == expected).all(), (speed_kn, ais_class)
+        assert (found.between == (expected == 180 and ais_class == "A")).all()
+    # It changes course when it is more than 5° from the mean of half a minute.
+    for speed_kn, expected in ((5, 10 / 3), (18, 2), (30, 2)):
+        found = reporting.rate(seen(120, speed_kn, heading_deg=np.arange(120.0)), "A", False)
+        assert (found.intervals_s[60:] == expected).all()
+        assert (found.between[60:] == (speed_kn < 23)).all()
+    assert (reporting.rate(seen(120, 5, heading_deg=np.arange(120.0)), "B", False).intervals_s == 30).all()
+    heading = np.concatenate([np.zeros(60), np.full(100, 6.0)])  # the mean is 5° behind for 5 s: 6 · 25/30 = 5
+    changing = reporting.changes_course(seen(160, heading_deg=heading))
+    assert np.flatnonzero(changing).tolist() == list(range(60, 60 + 4 + 20 + 1 - 1))
+    assert not reporting.changes_course(seen(160, heading_deg=heading * 0.8)).any()
 
 
 @pytest.mark.parametrize("ais_class", ["A", "B"])
@@ -71,27 +83,6 @@ def test_the_sides_give_the_size_and_the_antenna_is_where_they_say(size, ais_cla
 INTERVALS = [(0, "A", True, 180), (2.9, "A", True, 180), (3.1, "A", True, 10), (0, "A", False, 10)]
 INTERVALS += [(13.9, "A", False, 10), (14.1, "A", False, 6), (22.9, "A", False, 6), (23.1, "A", False, 2)]
 INTERVALS += [(np.nan, "A", False, 10), (1.9, "B", False, 180), (2.1, "B", False, 30), (40, "B", False, 30)]
-
-
-def test_intervals_are_those_of_the_standard():
-    """ITU-R M.1371-5, annex 1, tables 1 and 2."""
-    for speed_kn, ais_class, at_rest, expected in INTERVALS:
-        found = reporting.rate(seen(10, speed_kn), ais_class, at_rest)
-        assert (found.intervals_s == expected).all(), (speed_kn, ais_class)
-        assert (found.between == (expected == 180 and ais_class == "A")).all()
-
-
-def test_a_ship_that_changes_course_sends_more_often():
-    """It changes course when it is more than 5° from the mean of half a minute."""
-    for speed_kn, expected in ((5, 10 / 3), (18, 2), (30, 2)):
-        found = reporting.rate(seen(120, speed_kn, heading_deg=np.arange(120.0)), "A", False)
-        assert (found.intervals_s[60:] == expected).all()
-        assert (found.between[60:] == (speed_kn < 23)).all()
-    assert (reporting.rate(seen(120, 5, heading_deg=np.arange(120.0)), "B", False).intervals_s == 30).all()
-    heading = np.concatenate([np.zeros(60), np.full(100, 6.0)])  # the mean is 5° behind for 5 s: 6 · 25/30 = 5
-    changing = reporting.changes_course(seen(160, heading_deg=heading))
-    assert np.flatnonzero(changing).tolist() == list(range(60, 60 + 4 + 20 + 1 - 1))
-    assert not reporting.changes_course(seen(160, heading_deg=heading * 0.8)).any()
 
 
 def test_a_slower_ship_keeps_its_interval_for_three_minutes_and_a_shorter_one_ends_it_at_once():
@@ -155,7 +146,7 @@ def resting(times_s, heading_rad=0.3, velocity=(0.0, 0.0)):
     return sensors.Stay(times_s, float(times_s[-1]), *motion, True)
 
 
-def test_positions_scatter_as_asked_and_their_errors_last():
+def test_positions_speeds_courses_and_headings_scatter_about_the_truth_and_their_errors_last():
     streams, origin, stay = Streams(4), (56.0, 12.0), resting(np.array([0, 1, 400]))
     errors = []
     for vessel in range(500):
@@ -170,9 +161,6 @@ def test_positions_scatter_as_asked_and_their_errors_last():
     assert abs(np.corrcoef(scaled[:, 0].ravel(), scaled[:, 2].ravel())[0, 1]) < 0.12  # 0.99⁴⁰⁰ = 0.018
     exact = sensors.measured(stay, sensors.Noise.of("v0", streams, 401), origin, 0.0)
     assert local_metres(exact.latitude_deg, exact.longitude_deg, origin) == pytest.approx(np.tile([1000, -500], (3, 1)))
-
-
-def test_speed_course_and_heading_scatter_about_the_truth():
     streams, stay = Streams(9), resting(np.arange(400), velocity=(3.0, 4.0))
     found = [sensors.measured(stay, sensors.Noise.of(f"v{k}", streams, 401), (0.0, 0.0), 3.0) for k in range(60)]
     speed = np.array([each.speed_kn for each in found]) * KNOT_M_S
@@ -228,7 +216,7 @@ def test_speeds_courses_and_places_come_back_as_they_were_sent():
         assert abs(message.lon - longitude[row]) <= 0.5 / 600_000 + 5e-7
 
 
-def test_what_is_not_known_is_sent_as_not_available_and_no_speed_is():
+def test_what_is_not_known_is_not_available_and_rate_of_turn_is_its_root_positive_to_starboard():
     found = seen(1, speed_kn=np.nan, course_deg=np.full(1, np.nan), heading_deg=359.6)
     message = sent(log.position_fields(station(length_m=30), found, 0, True, False))
     assert (message.speed, message.course, message.heading, message.turn) == (102.3, 360.0, 0, log.NO_TURN)
@@ -238,9 +226,6 @@ def test_what_is_not_known_is_sent_as_not_available_and_no_speed_is():
     assert boat.cs and boat.radio == 917510  # as carrier-sense stations send it
     for speed_kn in (500.0, 102.3):
         assert sent(log.position_fields(station(), seen(1, speed_kn=speed_kn), 0, False, False)).speed == 102.2
-
-
-def test_rate_of_turn_is_sent_as_its_root_positive_to_starboard():
     for turn in (0, 0.01, 1, 10, 126.9, 127, 128, 127.5, 500, 708, 5000):
         for side in (1, -1):
             fields = log.position_fields(station(), seen(1, turn_deg_min=np.full(1, side * turn)), 0, False, False)

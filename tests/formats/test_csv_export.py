@@ -15,7 +15,7 @@ from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.runs.locating import locate
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
-from tests.runs.positions.position_scenes import position_scene
+from tests.runs.positions.test_locating import position_scene
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "positions.md").read_text(encoding="utf-8")
 BOX = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
@@ -104,7 +104,32 @@ def test_frames_have_the_pose_of_their_camera_and_detections_lie_where_rounded_b
         np.testing.assert_allclose(numbers(table, name), values, rtol=1e-8, err_msg=name)
 
 
-def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, exported: Path, tmp_path: Path) -> None:
+def test_nothing_that_a_tracker_reads_names_a_vessel_and_true_attitudes_are_true(run, exported, tmp_path):
+    scene = run.scene
+    secrets = [name for name in scene.vessel_names if name != "flagship"]  # own ship is known to be there
+    secrets += [state.name for state in scene.detector.states] + [kind for kind in KINDS if kind != "true"]
+    for path in exported.glob("*.csv"):
+        if path.name.startswith("truth_"):
+            assert b"mermaid" in path.read_bytes()
+            continue
+        assert [name for name in secrets if name.encode() in path.read_bytes()] == [], path.name
+    for camera in ("bow", "shore"):  # and the last bits of an edge do not tell a cut true box from a false one
+        table = read(exported / f"detections_{camera}.csv")
+        assert all(len(text.partition(".")[2]) <= 3 for name in BOX for text in table[name])
+    table, rows = read(exported / "truth_shore.csv"), run.table("truth")
+    mine = [row for row in rows.to_pylist() if row["camera"] == "shore"]
+    assert table["vessel"] == [row["vessel"] for row in mine]
+    assert table["annotated"] == [str(row["annotated"]).lower() for row in mine]
+    for at, row in list(enumerate(mine))[::7]:
+        place = run.scene.at(row["step"])
+        column = run.scene.vessel_names.index(row["vessel"])
+        centre = place.vessel_poses.poses.positions_m[0, column, :2]
+        away = centre - [-50, 30]
+        said = numbers(table, "w1_m", "w2_m", "bearing_rad", "inverse_range_per_m")[at]
+        expected = [*centre, np.arctan2(away[1], away[0]), 1 / np.hypot(*away)]
+        np.testing.assert_allclose(said, expected, rtol=1e-6, atol=1e-9)
+        full = [row[f"full_{side}"] for side in BOX]
+        np.testing.assert_allclose(numbers(table, *BOX)[at], full, atol=5.01e-4)
     assert export(run, tmp_path / "true", "--true-attitude").exit_code == 0
     frames = read(tmp_path / "true" / "frames_bow.csv")
     angles = numbers(frames, "camera_roll_rad", "camera_pitch_rad", "camera_yaw_rad")
@@ -120,37 +145,6 @@ def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, expo
     assert same[0]["x_min_px"] == same[1]["x_min_px"] and same[0]["bearing_rad"] != same[1]["bearing_rad"]
     stds = [numbers(table, "bearing_std_rad") for table in same]
     assert (stds[0] < stds[1])[np.isfinite(stds[0])].all()
-
-
-def test_nothing_that_a_tracker_reads_names_a_vessel_a_state_or_an_origin(run: StoredRun, exported: Path) -> None:
-    scene = run.scene
-    secrets = [name for name in scene.vessel_names if name != "flagship"]  # own ship is known to be there
-    secrets += [state.name for state in scene.detector.states] + [kind for kind in KINDS if kind != "true"]
-    for path in exported.glob("*.csv"):
-        if path.name.startswith("truth_"):
-            assert b"mermaid" in path.read_bytes()
-            continue
-        assert [name for name in secrets if name.encode() in path.read_bytes()] == [], path.name
-    for camera in ("bow", "shore"):  # and the last bits of an edge do not tell a cut true box from a false one
-        table = read(exported / f"detections_{camera}.csv")
-        assert all(len(text.partition(".")[2]) <= 3 for name in BOX for text in table[name])
-
-
-def test_truth_has_the_vessels_and_where_their_centres_are(run: StoredRun, exported: Path) -> None:
-    table, rows = read(exported / "truth_shore.csv"), run.table("truth")
-    mine = [row for row in rows.to_pylist() if row["camera"] == "shore"]
-    assert table["vessel"] == [row["vessel"] for row in mine]
-    assert table["annotated"] == [str(row["annotated"]).lower() for row in mine]
-    for at, row in list(enumerate(mine))[::7]:
-        place = run.scene.at(row["step"])
-        column = run.scene.vessel_names.index(row["vessel"])
-        centre = place.vessel_poses.poses.positions_m[0, column, :2]
-        away = centre - [-50, 30]
-        said = numbers(table, "w1_m", "w2_m", "bearing_rad", "inverse_range_per_m")[at]
-        expected = [*centre, np.arctan2(away[1], away[0]), 1 / np.hypot(*away)]
-        np.testing.assert_allclose(said, expected, rtol=1e-6, atol=1e-9)
-        full = [row[f"full_{side}"] for side in BOX]
-        np.testing.assert_allclose(numbers(table, *BOX)[at], full, atol=5.01e-4)
 
 
 def test_one_camera_alone_and_a_run_without_own_ship(run: StoredRun, exported: Path, tmp_path: Path) -> None:

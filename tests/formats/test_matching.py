@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import PAIRS_AT_ONCE, Rule, image_pairs, match
-from tests.formats.labelled_sets import found, images, random_boxes, random_set, truth
+from tests.formats.labelled_files import found, images, random_boxes, random_set, truth
 
 
 def slow_iou(a, b, crowd):
@@ -106,12 +106,9 @@ MATCHES = {
 }  # fmt: skip
 
 
-def test_matches_are_those_of_the_rule():
+def test_matches_are_those_of_the_rule_in_the_order_that_it_says_whatever_is_ignored_or_split(monkeypatch):
     for case, (boats, seen, rule, matches) in MATCHES.items():
         assert match(one_image(boats, seen), rule).annotation.tolist() == matches, case
-
-
-def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
     seen = [[10, 10, 40, 40], [60, 60, 90, 90], [400, 0, 450, 50]]
     labelled = one_image([[0, 0, 200, 200], [300, 300, 350, 350]], seen, [True, False])
     for method in ("confidence", "optimal"):
@@ -120,9 +117,6 @@ def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
         assert matched.sought.tolist() == [False, True]
     seen = [[0, 0, 20, 20], [380, 10, 410, 20], [390, 0, 420, 40]]  # in the region wherever its centre
     assert match(one_image([[0, 0, 400, 40]], seen, [True]), Rule("centre")).counts.tolist() == [False, False, True]
-
-
-def test_pairs_of_images_are_all_there_however_they_are_split(monkeypatch):
     rng = np.random.default_rng(1)
     first, second = np.sort(rng.integers(0, 9, 20)), np.sort(rng.integers(0, 9, 15))
     every = [(i, j) for i in range(20) for j in range(15) if first[i] == second[j]]
@@ -130,9 +124,6 @@ def test_pairs_of_images_are_all_there_however_they_are_split(monkeypatch):
         monkeypatch.setattr("modsim3d.formats.matching.PAIRS_AT_ONCE", at_once)
         pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]
         assert pairs == every
-
-
-def test_rules_by_centres_say_in_which_order_they_match_and_provenance_needs_a_run():
     apart = "centres at most 25 px apart, "
     assert str(BY_CENTRE) == f"{apart}the nearest corners first"
     assert str(BY_CENTRE.for_average_precision) == f"{apart}in order of confidence"

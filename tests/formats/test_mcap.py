@@ -61,7 +61,7 @@ def test_both_readers_read_the_same_in_every_field_and_what_a_tracker_plays_name
         assert name.encode() in bags.all_bytes(out / "truth")  # so that it would be found
 
 
-def test_topics_types_and_counts(out, tracker, truth) -> None:
+def test_topics_types_and_counts_and_camera_info_are_those_of_the_run_and_its_lens(out, tracker, truth, run):
     steps, slow = bags.STEPS, 5  # at 0.1, 0.4, 0.6, 0.9 and 1.1 s
     moving = {"/tf": steps, "/odom": steps, "/imu": steps, "/tf_static": 1}
     seen = {f"/{name}/{kind}": steps for name in (BOW, QUAY) for kind in ("camera_info", "detections")}
@@ -75,6 +75,17 @@ def test_topics_types_and_counts(out, tracker, truth) -> None:
     assert {kinds[f"/{name}/camera_info"] for name in FRAMES} == {"sensor_msgs/msg/CameraInfo"}
     found = {kinds[topic] for topic in kinds if topic.endswith(("/detections", "/boxes"))}
     assert found == {"vision_msgs/msg/Detection2DArray"}
+    for (name, _), camera in zip(FRAMES.items(), run.scene.cameras, strict=True):
+        (info,) = {json.dumps(bags.plain(m.content) | {"header": None}) for m in tracker[f"/{name}/camera_info"]}
+        found, lens = json.loads(info), camera.intrinsics
+        assert (found["width"], found["height"], found["distortion_model"]) == (1280, 720, "plumb_bob")
+        bent = [-0.08, 0.02, 0.001, -0.002, 0.003] if name == BOW else [0.0] * 5
+        assert found["d"] == bent
+        assert found["k"] == lens.matrix.ravel().tolist() and found["k"][1] == lens.skew
+        assert found["r"] == np.eye(3).ravel().tolist()
+        assert np.array(found["p"]).reshape(3, 4).tolist() == [[*row, 0.0] for row in lens.matrix.tolist()]
+        for info_message, boxes in zip(tracker[f"/{name}/camera_info"], tracker[f"/{name}/detections"], strict=True):
+            assert info_message.content.header == boxes.content.header
 
 
 def test_metadata_is_what_humble_reads(out) -> None:
@@ -96,7 +107,7 @@ def test_metadata_is_what_humble_reads(out) -> None:
         assert set(profiles.values()) == {""}
 
 
-def test_detections_are_those_a_tracker_reads(run, tracker) -> None:
+def test_detections_are_those_a_tracker_reads_and_truth_is_what_was_annotated(run, tracker, truth):
     count = 0
     for name, camera in FRAMES.items():
         lines = (run.folder / f"tracker_input_{camera}.jsonl").read_text().splitlines()
@@ -116,9 +127,6 @@ def test_detections_are_those_a_tracker_reads(run, tracker) -> None:
                 assert each.header == message.header
             count += len(message.detections)
     assert count > 20 and len({each.results[0].hypothesis.class_id for _, m in messages for each in m.detections}) > 1
-
-
-def test_truth_is_what_was_annotated_and_where_nobody_is_there_a_message_is_empty(run, tracker, truth) -> None:
     rows = run.table("truth").to_pylist()
     for name, camera in FRAMES.items():
         for stamp_ns, message in truth[f"/truth/{name}/boxes"]:
@@ -130,20 +138,6 @@ def test_truth_is_what_was_annotated_and_where_nobody_is_there_a_message_is_empt
         empty = [m.content for m in truth[f"/truth/{name}/boxes"] if 500_000_000 <= m.stamp_ns < 900_000_000]
         assert len(empty) >= 1 and all(each.detections == [] for each in empty if name != QUAY)
     assert 0 in [len(m.content.detections) for name in FRAMES for m in tracker[f"/{name}/detections"]]
-
-
-def test_camera_info_is_the_lens(tracker, run) -> None:
-    for (name, _), camera in zip(FRAMES.items(), run.scene.cameras, strict=True):
-        (info,) = {json.dumps(bags.plain(m.content) | {"header": None}) for m in tracker[f"/{name}/camera_info"]}
-        found, lens = json.loads(info), camera.intrinsics
-        assert (found["width"], found["height"], found["distortion_model"]) == (1280, 720, "plumb_bob")
-        bent = [-0.08, 0.02, 0.001, -0.002, 0.003] if name == BOW else [0.0] * 5
-        assert found["d"] == bent
-        assert found["k"] == lens.matrix.ravel().tolist() and found["k"][1] == lens.skew
-        assert found["r"] == np.eye(3).ravel().tolist()
-        assert np.array(found["p"]).reshape(3, 4).tolist() == [[*row, 0.0] for row in lens.matrix.tolist()]
-        for info_message, boxes in zip(tracker[f"/{name}/camera_info"], tracker[f"/{name}/detections"], strict=True):
-            assert info_message.content.header == boxes.content.header
 
 
 def check_projection(tracker: bags.Topics, truth: bags.Topics) -> int:
@@ -244,17 +238,6 @@ def test_the_same_run_gives_the_same_bytes_whatever_the_blocks(run, out, tmp_pat
     assert content(again) == content(out)
 
 
-def test_one_camera_ashore_needs_no_own_ship(run, tmp_path) -> None:
-    """Own ship's odometry is truth of a vessel that this camera looks for."""
-    out = export(run, tmp_path, (2,))
-    tracker = bags.read_with_rosbags(out / "detections")
-    assert tracker.keys() == {"/quay/camera_info", "/quay/detections", "/tf_static"}
-    (static,) = tracker["/tf_static"]
-    (fixed,) = static.content.transforms
-    assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "quay_optical_frame")
-    assert check_projection(tracker, bags.read_with_rosbags(out / "truth")) > 5
-
-
 def test_two_vessels_with_cameras_have_names_of_their_own(tmp_path) -> None:
     mounts = {"a": {"vessel": bags.OWN, "position_m": [6, 0, 6]}, "b": {"vessel": "pilot", "position_m": [3, 0, 4]}}
     cameras = {name: {**bags.LENS, "mount": mount} for name, mount in mounts.items()}
@@ -275,7 +258,7 @@ def test_two_vessels_with_cameras_have_names_of_their_own(tmp_path) -> None:
     assert {"/pilot/odom", "/pilot/imu"} < alone.keys() and "/own_ship/odom" not in alone
 
 
-def test_times_keep_every_digit() -> None:
+def test_one_camera_ashore_needs_no_own_ship_and_times_keep_every_digit(run, tmp_path):
     texts = ["0", "0.1", "+.3", "1e0", "1.000000001", "1.0000000025", "1.0000000035", "1700000000.123456789"]
     expected = [0, 10**8, 3 * 10**8, 10**9, 10**9 + 1, 10**9 + 2, 10**9 + 4, 1_700_000_000_123_456_789]
     assert stamps_ns(texts, "scene").tolist() == expected
@@ -283,3 +266,11 @@ def test_times_keep_every_digit() -> None:
         with pytest.raises(InputError, match="ROS knows times from 0 to 2147483647 s"):
             stamps_ns([text], "scene")
     assert stamps_ns(["1e-999999999999"], "scene").tolist() == [0]
+    # Own ship's odometry is truth of a vessel that this camera looks for.
+    out = export(run, tmp_path, (2,))
+    tracker = bags.read_with_rosbags(out / "detections")
+    assert tracker.keys() == {"/quay/camera_info", "/quay/detections", "/tf_static"}
+    (static,) = tracker["/tf_static"]
+    (fixed,) = static.content.transforms
+    assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "quay_optical_frame")
+    assert check_projection(tracker, bags.read_with_rosbags(out / "truth")) > 5

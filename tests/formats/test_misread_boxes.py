@@ -86,7 +86,7 @@ def test_honest_boxes_are_read_without_a_remark_on_them(tmp_path, kind, name, vi
     assert not [note for note in labelled.notes if "eighth column" not in note and biased not in note]
 
 
-def test_whole_boxes_of_cut_vessels_are_a_remark(tmp_path):
+def test_whole_boxes_of_cut_vessels_are_a_remark_and_flags_are_numbers_truth_values_or_texts(tmp_path):
     video = Video.of()
     whole = video.true + np.where(video.true[..., :1] + video.true[..., 2:3] >= WIDTH - 1, [0, 0, 60, 0], 0)
     whole[:, -1, 1] = HEIGHT - 20.0  # below the lower edge
@@ -94,6 +94,13 @@ def test_whole_boxes_of_cut_vessels_are_a_remark(tmp_path):
         write = coco if changes[0] == "right" else yolo
         labelled = read_pair("day", *write(tmp_path, Video(whole, whole), *(CHANGES[c] for c in changes)), NAMED)
         assert any("boxes are not cut at the edge of the image" in note for note in labelled.notes)
+    for value, flag in FLAGS:
+        problems = Problems("a file")
+        assert read_flag(value, "flag", "here", problems) is flag and not problems.count
+    for value in ("no", "yes", "", "2", 2, -1, 0.5, [], {}, [0], "none", "nan"):
+        problems = Problems("a file")
+        read_flag(value, "flag", "here", problems)
+        assert problems.count == 1
 
 
 def crossing(start, seed=0):
@@ -238,16 +245,6 @@ def has(labelled, *parts):
 
 FLAGS = [(each, True) for each in (1, 1.0, True, "1", "true", " True ", "1.0")]
 FLAGS += [(each, False) for each in (None, 0, 0.0, False, "0", "false", "FALSE")]
-
-
-def test_flags_are_numbers_truth_values_or_texts_and_nothing_else():
-    for value, flag in FLAGS:
-        problems = Problems("a file")
-        assert read_flag(value, "flag", "here", problems) is flag and not problems.count
-    for value in ("no", "yes", "", "2", 2, -1, 0.5, [], {}, [0], "none", "nan"):
-        problems = Problems("a file")
-        read_flag(value, "flag", "here", problems)
-        assert problems.count == 1
 
 
 @pytest.mark.parametrize("key", ["iscrowd", "ignore"])

@@ -13,8 +13,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import UNKNOWN, half_plane, joined, read_horizon, with_horizon, written_horizon
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
-from tests.formats.labelled_files import refused
-from tests.formats.labelled_sets import images, random_set
+from tests.formats.labelled_files import images, random_set, refused
 
 TRUTH = {
     "images": [{"id": 30, "width": 640, "height": 480, "file_name": "b.png"}, {"id": 7, "width": 640, "height": 480}],
@@ -245,7 +244,7 @@ def test_what_is_not_there_is_not_taken_for_another_kind_and_two_kinds_do_not_go
     refused(r"looks like COCO and .* like MOT", gt, tmp_path / "det.txt", ReadOptions())
 
 
-def test_joined_sets_keep_their_rows_apart():
+def test_joined_sets_keep_their_rows_apart_and_a_row_and_two_points_are_the_same_line():
     first, second = random_set(1, labels=2), random_set(2, labels=3)
     both = joined([first, second])
     assert both.labels == ("a", "b", "c") and both.conditions == ("all",)
@@ -254,17 +253,6 @@ def test_joined_sets_keep_their_rows_apart():
     np.testing.assert_array_equal(ours, second.annotations.image + len(first.images))
     assert set(both.images.source.tolist()) == {0, 1}
     assert np.all(np.diff(both.results.image) >= 0)
-
-
-@given(roll=st.floats(-1.2, 1.2), below=st.floats(-2000, 2000), width=st.floats(100, 4000))
-def test_a_horizon_that_is_written_is_read_back(roll, below, width):
-    sea = np.array([np.sin(roll), np.cos(roll), -below])
-    again = np.array(read_horizon(written_horizon(sea.tolist(), width), width))
-    corners = np.array([[0, 0, 1], [width, 0, 1], [0, 500, 1], [width, 500, 1]])
-    np.testing.assert_allclose(corners @ again * np.cos(roll), corners @ sea, atol=1e-3)
-
-
-def test_a_row_two_rows_and_two_points_are_the_same_line_and_what_is_no_horizon_is_none():
     lines = [read_horizon(value, 640.0) for value in (300, [300, 300], [0, 300, 10, 300])]
     assert lines == [tuple(half_plane(300, []))] * 3
     a, b, c = read_horizon([200, 264], 640.0)
@@ -274,6 +262,14 @@ def test_a_row_two_rows_and_two_points_are_the_same_line_and_what_is_no_horizon_
         assert read_horizon(value, 640.0) is None, value
     for sea in (UNKNOWN, (0.0, 0.0, 1.0), (1.0, 0.0, -300.0), (0.0, -1.0, 300.0)):  # the sea is below no line
         assert written_horizon(sea, 640.0) is None, sea
+
+
+@given(roll=st.floats(-1.2, 1.2), below=st.floats(-2000, 2000), width=st.floats(100, 4000))
+def test_a_horizon_that_is_written_is_read_back(roll, below, width):
+    sea = np.array([np.sin(roll), np.cos(roll), -below])
+    again = np.array(read_horizon(written_horizon(sea.tolist(), width), width))
+    corners = np.array([[0, 0, 1], [width, 0, 1], [0, 500, 1], [width, 500, 1]])
+    np.testing.assert_allclose(corners @ again * np.cos(roll), corners @ sea, atol=1e-3)
 
 
 def test_images_that_say_their_horizon_keep_it_and_others_take_that_of_the_option(tmp_path):

@@ -58,7 +58,7 @@ def test_an_image_is_named_by_its_id_or_its_file_and_what_may_be_either_told(tmp
         assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
-def test_a_file_name_that_two_images_have_stands_for_neither_and_ids_may_be_text(tmp_path):
+def test_a_file_name_of_two_images_stands_for_neither_and_categories_can_be_moved(tmp_path):
     files = coco(tmp_path, [result("a"), result("b")], ("one/a.jpg", "two/a.jpg", "b.jpg"))
     refused(r"\[0\]: unknown image_id 'a'", *files)
     truth, detections = coco(tmp_path, [result("north")])
@@ -67,9 +67,6 @@ def test_a_file_name_that_two_images_have_stands_for_neither_and_ids_may_be_text
     truth.write_text(json.dumps(json.loads(truth.read_text()) | {"images": images, "annotations": [box]}))
     labelled = read_pair("day", truth, detections)
     assert labelled.images.names == ("north", "south") and labelled.results.image.tolist() == [0]
-
-
-def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path):
     files = coco(tmp_path, [result(11, 0), result(12, 1)])
     hint = "category IDs are off by one: add 1 to those of the detections, with `modsim3d learn` by --category-offset 1"
     refused(rf"\[0\]: unknown category_id 0 \(known: 1, 2\)\n  {hint}\Z", *files)
@@ -77,14 +74,12 @@ def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path
     refused(r"\[1\]: unknown category_id 7 .*\Z", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())
 
 
-def test_what_was_meant_is_looked_for_only_in_what_is_shown(tmp_path, monkeypatch):
+def test_what_was_meant_is_looked_for_in_what_is_shown_and_tracks_twice_in_an_image_refused(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("modsim3d.formats.reading.coco.nearest", lambda name, known: asked.append(name) or "a hint")
     refused(r"480 more", *coco(tmp_path, [result(f"shot_{k}") for k in range(500)]), ReadOptions())
     assert len(asked) == 20  # among thousands of images each takes a tenth of a second
-
-
-def test_a_track_that_is_twice_in_an_image_is_refused_and_below_zero_nobodys(tmp_path):
+    monkeypatch.undo()
     twice = [{"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], "track_id": 4}] * 2
     refused(r"annotations\[1\]: identity 4 is in the image 11 already", *coco(tmp_path, [], annotations=twice))
     nobody = [entry | {"track_id": -1} for entry in twice]
@@ -156,7 +151,7 @@ def test_yolos_images_say_how_large_and_how_many_they_are_and_its_data_what_they
     assert read_pair("day", *folders, ReadOptions()).images.sizes_px[0].tolist() == [100, 200]
 
 
-def test_the_size_of_an_image_is_known_without_its_pixels_and_too_large_ones_are_refused(yolo, monkeypatch):
+def test_the_size_of_an_image_is_known_without_its_pixels_and_folders_not_meant_are_refused(yolo, monkeypatch):
     picture = yolo / "set" / "images" / "val" / "b.png"
     picture.write_bytes(picture.read_bytes()[:60])
     assert image_size_px(picture) == (400, 300)
@@ -165,9 +160,7 @@ def test_the_size_of_an_image_is_known_without_its_pixels_and_too_large_ones_are
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 50_000)
     with pytest.raises(InputError, match=r"image .*b.png:\n.*cannot be read: Image size \(120000 pixels\)"):
         image_size_px(picture)
-
-
-def test_yolo_folders_that_are_not_meant_are_refused(yolo):
+    monkeypatch.undo()
     labels, predictions = yolo / "set" / "labels" / "val", yolo / "predict" / "labels"
     refused(r"has no labels itself; those below it have: .*val", yolo / "set", predictions, ReadOptions())
     (predictions / "c.txt").write_text("1 0.5 0.5 0.5 0.5 0.9\n")

@@ -18,7 +18,7 @@ from modsim3d.learn.matches import Observed
 from modsim3d.learn.self_check import simulated
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.scene.settings import choose_detector
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 
 IOU, PROVENANCE = Rule(), Rule("provenance")
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0

@@ -9,7 +9,7 @@ from pycocotools.cocoeval import COCOeval
 
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.figures import Curve, Ranking
-from tests.formats.labelled_sets import random_set
+from tests.formats.labelled_files import random_set
 
 
 def coco_average_precision(labelled):

@@ -12,7 +12,7 @@ from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.self_check import simulated
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 from tests.learn import round_trip
 from tests.learn.one_state import of_boats
 

@@ -19,7 +19,7 @@ from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.matches import ErrorFits
 from modsim3d.learn.report_page import tables
-from tests.formats.labelled_sets import images, truth
+from tests.formats.labelled_files import images, truth
 from tests.learn import one_state
 from tests.learn.one_state import detector_file, learned_from, of_boats
 from tests.learn.round_trip import outside

@@ -17,7 +17,7 @@ from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive
 from modsim3d.learn.states import Transitions, count_transitions, transitions_of
-from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.formats.labelled_files import found, images, random_set, truth
 from tests.learn.one_state import learned_in, observed_as, observed_in, of_boats
 
 

@@ -9,7 +9,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.learn.bootstrap import entries_of, resample
 from modsim3d.learn.match_types import NAMES
 from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 from tests.learn.one_state import PROVENANCE, detected, detector_file, learned_from, observed_in, of_boats
 
 FRAMES, RATE_HZ = 1200, 4.0

@@ -20,7 +20,7 @@ from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import RICHER, LearnSettings
 from modsim3d.learn.report import NearGate
-from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.formats.labelled_files import found, images, random_set, truth
 from tests.learn import one_state, round_trip
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
 

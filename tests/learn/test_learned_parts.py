@@ -15,7 +15,7 @@ from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LEARNERS, RICHER, LearnSettings
 from modsim3d.learn.report_page import tables
 from tests.detector.test_parts import WITHOUT_LEARNER
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 from tests.learn.one_state import of_boats
 from tests.learn.round_trip import command, simulate
 

@@ -16,7 +16,7 @@ from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.match_types import NAMES, kinds_of
 from modsim3d.learn.multiple_boxes import ConsecutiveTrials, choose_multiple_boxes
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 from tests.learn.one_state import (
     detected,
     detector_file,

@@ -16,7 +16,7 @@ from modsim3d.learn.lags import LagTable
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive, SightingStretches
-from tests.formats.labelled_sets import found
+from tests.formats.labelled_files import found
 from tests.learn.one_state import learned_in, moored, normal_chain, observed_in
 
 RATE_HZ = 5.0

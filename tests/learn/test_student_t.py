@@ -26,7 +26,7 @@ from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.matches import ErrorFits
 from modsim3d.learn.states import each_its_own
-from tests.formats.labelled_sets import images
+from tests.formats.labelled_files import images
 from tests.learn.one_state import normal_chain, observed_as
 from tests.learn.round_trip import DETECTOR, asked_of, command, outside, simulate
 

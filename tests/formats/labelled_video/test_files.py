@@ -159,7 +159,7 @@ def test_visibility_comes_from_the_file_or_from_overlap_and_the_result_says_whic
     assert any("visibility is 1 everywhere, but other boxes cover more than half" in note for note in doubted.notes)
 
 
-def test_boxes_are_cut_at_the_image_and_hidden_by_those_that_are_not_to_be_detected(tmp_path: Path) -> None:
+def test_boxes_are_cut_at_the_image_and_keys_below_detector_are_set_and_kept(tmp_path):
     text = "1,1,101,101,40,40,1,1\n1,2,121,111,40,40,0,1\n"
     (row,), _ = detected(tmp_path / "hidden", text)
     assert (row["visible_fraction"], row["annotated"]) == (1 - 20 * 30 / 40**2, True)
@@ -168,9 +168,6 @@ def test_boxes_are_cut_at_the_image_and_hidden_by_those_that_are_not_to_be_detec
     sides = [f"full_{side}_px" for side in ("x_min", "y_min", "x_max", "y_max")]
     assert [[row[side] for side in sides] for row in table] == [[0, 100, 40, 140], [620, 460, 640, 480]]
     assert "1 of 3 boxes are left out: outside their image" in notes
-
-
-def test_keys_below_detector_are_set_and_kept_in_the_summary(tmp_path: Path) -> None:
     truth = mot(tmp_path / "bay")
     settings = {"detector.states.good.false_discovery_rate": 0.0, "detector.performance.schedule": [[0, "good"]]}
     result = modsim3d.detect_truth(truth, tmp_path / "out", detector="thesis", settings=settings)
@@ -255,15 +252,12 @@ def test_a_box_is_hidden_by_all_boxes_with_a_lower_foot_as_painting_shows(given_
     assert np.allclose(again, found[shuffled], atol=1e-12)
 
 
-def test_boxes_of_other_images_and_of_the_same_foot_which_may_be_cut_hide_nothing() -> None:
+def test_boxes_of_other_images_hide_nothing_and_classes_of_mot_have_names_or_one_label():
     boxes = np.tile([[0.0, 0.0, 10.0, 10.0]], (3, 1))
     assert visible_fractions(np.array([0, 0, 1]), boxes, boxes[:, 3]).tolist() == [1, 1, 1]
     assert visible_fractions(np.array([0, 0, 1]), boxes, np.array([9.0, 10.0, 99.0])).tolist() == [0, 1, 1]
     boxes = np.array([[0.0, 0, 10, 10], [5, 0, 15, 10]])  # the foot counts where it was before the box was cut
     assert visible_fractions(np.zeros(2, dtype=np.int64), boxes, np.array([14.0, 11.0])).tolist() == [1, 0.5]
-
-
-def test_classes_of_mot_have_the_names_that_learning_gives_them_and_several_may_be_one_label() -> None:
     classes = FileClasses("MOT", ("class_1", "class_2", "class_3"), (1, 2, 3))
     labels = ("class_3", "class_1", "class_9")
     found, notes = to_labels(classes, np.array([True, False, True]), None, labels)

@@ -17,7 +17,7 @@ from modsim3d.learn.voyage.deconvolution import less_noise, share_left, take_off
 from modsim3d.learn.voyage.reference_error import PARAMETERS, TruthErrors, TruthNoise, View, box_jacobians
 from modsim3d.scene.ais.scene_folder import REPORT
 from modsim3d.scene.scene import Scene
-from tests.formats import labelled_sets
+from tests.formats import labelled_files
 from tests.learn.one_state import detector_file, learned_in, normal_chain, observed_in
 
 EVERY, LASTING_S, SEEDS = 6, 60.0, 20
@@ -80,9 +80,11 @@ def noisy_set(scene, view, times, seed=0, position_m=10.0, std_px=STD_PX, lastin
         white = normal_chain(np.exp(-gap_s / box_s), rng, *true.shape)[frame, vessel]
     shift, half = white[:, :2] * std_px[:2], white[:, 2:] * std_px[2:] / 2
     seen = true[frame, vessel] + np.concatenate([shift - half, shift + half], axis=1)
-    shots = labelled_sets.images(len(times), tuple(float(side) for side in view.camera.intrinsics.image_size_px), times)
-    annotated = labelled_sets.truth(frame, 0 * frame, reported[frame, vessel], identity=vessel)
-    results = labelled_sets.found(frame, 0 * frame, seen, np.full(len(frame), 0.9), origin=np.arange(len(frame)))
+    shots = labelled_files.images(
+        len(times), tuple(float(side) for side in view.camera.intrinsics.image_size_px), times
+    )
+    annotated = labelled_files.truth(frame, 0 * frame, reported[frame, vessel], identity=vessel)
+    results = labelled_files.found(frame, 0 * frame, seen, np.full(len(frame), 0.9), origin=np.arange(len(frame)))
     return LabelledSet(("boat",), ("all",), shots, annotated, results)
 
 

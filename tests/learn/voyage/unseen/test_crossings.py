@@ -8,7 +8,7 @@ import pytest
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.voyage.non_ais.classification import CrossingTracks, classify_unmatched, fainter
 from modsim3d.learn.voyage.report import sentences
-from tests.formats.labelled_sets import found, truth
+from tests.formats.labelled_files import found, truth
 from tests.learn.voyage.unseen.voyages import HEIGHT_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
 
 FRAMES = 400

@@ -8,7 +8,7 @@ import pytest
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
 from modsim3d.learn.voyage.non_ais.linking import STEADY, Behaviour, jitter_of, link, things_of
-from tests.formats.labelled_sets import found, truth
+from tests.formats.labelled_files import found, truth
 from tests.learn.voyage.unseen.voyages import HORIZON_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
 
 NOTHING = truth([], [], np.empty((0, 4)))

@@ -7,7 +7,7 @@ import numpy as np
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.matches import Observed
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_files import found, images, truth
 
 WIDTH_PX, HEIGHT_PX, HORIZON_PX = 1200.0, 700.0, 200.0
 RATE_HZ, FOUND = 2.0, 0.9
