@@ -47,15 +47,6 @@ def assert_same_frames(found, expected, atol=1e-9):
                     assert ours == theirs
 
 
-def test_a_run_that_is_replaced_while_it_is_read_is_no_mixture(finished, tmp_path):
-    folder = shutil.copytree(finished, tmp_path / "run")
-    frames = open_run(folder).frames()
-    next(frames)
-    run_scene(load_scene("simulation_3", mode=2, seed=6, steps=STEPS), folder, overwrite=True)
-    with pytest.raises(RunDirectoryError, match="was replaced by another run while it was read: open it again"):
-        list(frames)
-
-
 def test_frames_and_truth_read_back_are_those_of_the_simulation_and_of_the_steps_asked_for(scene, finished):
     run = open_run(finished)
     assert_same_frames(run.frames(), simulate_frames(scene))
@@ -87,13 +78,16 @@ def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path, monkeypatch)
         assert len(found[name]) == -(-STEPS // 70) and pa.concat_tables(found[name]).equals(table), name
 
 
-def test_an_interrupted_run_gives_the_steps_that_it_has_kept(scene, finished, tmp_path):
+def test_an_interrupted_run_gives_its_steps_a_replaced_one_no_mixture_an_empty_one_a_frame(scene, finished, tmp_path):
     run = open_run(interrupt(scene, tmp_path / "cut"))
     assert not run.finished and 0 < run.steps < STEPS
     assert_same_frames(run.frames(), [f for f in open_run(finished).frames() if f.step < run.steps])
-
-
-def test_a_step_without_vessels_is_read_back_as_an_empty_frame_and_a_detector_that_lacks_them_says_so(tmp_path):
+    folder = shutil.copytree(finished, tmp_path / "replaced")
+    frames = open_run(folder).frames()
+    next(frames)
+    run_scene(load_scene("simulation_3", mode=2, seed=6, steps=STEPS), folder, overwrite=True)
+    with pytest.raises(RunDirectoryError, match="was replaced by another run while it was read: open it again"):
+        list(frames)
     path = write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}, 1)
     run_scene(load_scene(path), tmp_path / "empty")
     (frame,) = open_run(tmp_path / "empty").frames()

@@ -84,7 +84,7 @@ def test_a_live_run_writes_the_bytes_of_a_run_from_a_pose_file(tmp_path, stdin, 
     assert {frozenset(entries) for entries in truth.values()} >= {frozenset({"own"}), frozenset({"own", "a", "b"})}
 
 
-def test_a_live_camera_has_its_own_frame_rate(tmp_path, stdin):
+def test_a_live_camera_has_its_own_frame_rate_and_run_json_tells_how_many_steps_came(tmp_path, stdin):
     slow = {"cameras.shore.frame_rate_hz": 3, "cameras.shore.start_offset_s": 0.2}
     stdin("".join(lines()))
     for name, poses in (("live", {"stream": "-"}), ("file", {"file": "live/poses.jsonl"})):
@@ -92,9 +92,6 @@ def test_a_live_camera_has_its_own_frame_rate(tmp_path, stdin):
     assert content(tmp_path / "live") == content(tmp_path / "file")
     steps = [0.2, 0.6, 0.9, 1.2]
     assert [float(text) for text in json.loads((tmp_path / "live" / "detections_shore.json").read_text())][:4] == steps
-
-
-def test_run_json_of_a_live_run_tells_how_many_steps_came_and_which_poses(tmp_path, stdin):
     runs = []
     for name, count in (("first", 4), ("same", 4), ("other", 5)):
         stdin("".join(lines(count)))
@@ -125,22 +122,19 @@ def test_each_frame_is_there_before_the_next_line_is_read(tmp_path, monkeypatch)
     assert source.read_lines == 2
 
 
-def test_loading_and_checking_read_nothing(call, tmp_path, monkeypatch):
+def test_loading_and_checking_read_nothing_and_what_a_stream_cannot_do_is_one_message(call, tmp_path, monkeypatch):
     path = scene_of(tmp_path, {"stream": "-"})
     monkeypatch.setattr(sys, "stdin", object())  # there is nothing to be read from
     status, said = call("check", "scene", path)
     assert status == 0 and "as they come" in said and load_scene(path).live
-
-
-def test_what_has_come_can_be_simulated_again_and_a_stream_without_a_line_is_an_error(tmp_path, stdin):
-    stdin("".join(lines(5)))
-    scene = live_scene(tmp_path)
-    first, second = ([frame.detections.boxes_px for frame in simulate_frames(scene)] for _ in range(2))
-    assert len(first) == 10
-    np.testing.assert_equal(first, second)
-    stdin("")
-    with pytest.raises(InputError, match="ended before the first time step"):
-        run_scene(live_scene(tmp_path), tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    for command, *options, part in (
+        ("run", "--workers", "2", "leave --workers out"),
+        ("run", "--resume", "--resume needs poses that can be read again"),
+        ("check truth", "check truth needs a scene whose steps are known"),
+    ):
+        status, said = call(*command.split(), path, *options)
+        assert status == 2 and part in said and not (tmp_path / "runs").exists()
 
 
 def process(program, path, out):
@@ -201,11 +195,25 @@ def test_a_file_that_does_not_grow_ends_after_the_timeout(tmp_path, timeout_s):
     assert [frame.timestamp for frame in simulate_frames(scene)][::2] == ["0.0", "0.1", "0.2"]
 
 
-def test_an_empty_line_ends_a_stream_of_whole_lines_of_any_length():
+def test_an_empty_line_ends_a_stream_and_live_poses_keep_what_came_and_refuse_what_never_came():
     given = [line(0, "own").encode(), b" \r\n", b"not json\n"]
     assert [timestamp for timestamp, _ in read_steps(given, "it", ["own"])] == ["0.0"]
     given = [b"a\n", b"x" * 100_000 + b"\n", b"\n", b"last"]
     assert list(follow(io.BytesIO(b"".join(given)), None)) == given
+
+    def step(number):
+        return f"{number}.0", Poses(np.array([[number % 2 == 0]]), np.full((1, 1, 3), number), np.full((1, 1), -number))
+
+    live = LivePoses((step(number) for number in range(200)), 1, "it")
+    assert live.wait(150) and len(live.timestamps) == 151
+    poses = live.poses(3, 160)
+    assert len(live.timestamps) == 160
+    np.testing.assert_array_equal(poses.present[:, 0], np.arange(3, 160) % 2 == 0)
+    np.testing.assert_array_equal(poses.positions_m[:, 0, 2], np.arange(3, 160))
+    np.testing.assert_array_equal(poses.headings_rad[:, 0], -np.arange(3, 160))
+    assert not live.wait(200)
+    with pytest.raises(ModsimError, match="it: ended after 200 steps; step 201 was asked for"):
+        live.poses(199, 201)
 
 
 BAD = {
@@ -252,7 +260,7 @@ def test_an_interrupted_live_run_says_how_to_make_a_finished_one_of_it(call, tmp
     assert open_run(tmp_path / "finished").steps == 2
 
 
-def test_a_camera_inside_a_vessel_is_told_when_it_happens(tmp_path, stdin):
+def test_what_has_come_can_be_simulated_again_and_a_camera_inside_a_vessel_is_told_when_it_happens(tmp_path, stdin):
     inside = json.loads(line(1, "own", "a"))
     inside["0.1"]["a"]["center_position_m"] = [4.2, 0, 0]
     stdin(line(0, "own", "a") + json.dumps(inside) + "\n")
@@ -260,6 +268,14 @@ def test_a_camera_inside_a_vessel_is_told_when_it_happens(tmp_path, stdin):
     assert next(frames).step == 0
     with pytest.raises(InputError, match=r"cameras\.C0: is inside vessel 'a' at time 0\.1 s"):
         list(frames)
+    stdin("".join(lines(5)))
+    scene = live_scene(tmp_path)
+    first, second = ([frame.detections.boxes_px for frame in simulate_frames(scene)] for _ in range(2))
+    assert len(first) == 10
+    np.testing.assert_equal(first, second)
+    stdin("")
+    with pytest.raises(InputError, match="ended before the first time step"):
+        run_scene(live_scene(tmp_path), tmp_path / "out")
 
 
 @pytest.mark.parametrize(("stream", "part"), [
@@ -286,18 +302,6 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
         assert part in str(caught.value)
 
 
-def test_what_a_stream_cannot_do_is_refused_in_one_message(call, tmp_path, monkeypatch):
-    path = scene_of(tmp_path, {"stream": "-"})
-    monkeypatch.chdir(tmp_path)
-    for command, *options, part in (
-        ("run", "--workers", "2", "leave --workers out"),
-        ("run", "--resume", "--resume needs poses that can be read again"),
-        ("check truth", "check truth needs a scene whose steps are known"),
-    ):
-        status, said = call(*command.split(), path, *options)
-        assert status == 2 and part in said and not (tmp_path / "runs").exists()
-
-
 @pytest.mark.parametrize(("text", "part"), [
     (line(0, "own") + "\n" + line(1, "own"), "line 2: is empty"), ("", "line 1: is empty"),
     (line(0, "own") + line(0, "own"), "line 2: '0.0' appears twice"),
@@ -317,22 +321,6 @@ def test_lines_are_a_pose_file_and_half_a_line_at_the_end_of_an_interrupted_runs
     (folder / "poses.jsonl").write_text("".join(lines(3)) + torn)
     scene = load_scene(scene_of(folder / "scene", {"file": "../poses.jsonl"}))
     assert (scene.steps, scene.timestamps(0, 3), scene.live) == (3, ("0.0", "0.1", "0.2"), False)
-
-
-def test_live_poses_keep_what_came_and_refuse_what_never_came():
-    def step(number):
-        return f"{number}.0", Poses(np.array([[number % 2 == 0]]), np.full((1, 1, 3), number), np.full((1, 1), -number))
-
-    live = LivePoses((step(number) for number in range(200)), 1, "it")
-    assert live.wait(150) and len(live.timestamps) == 151
-    poses = live.poses(3, 160)
-    assert len(live.timestamps) == 160
-    np.testing.assert_array_equal(poses.present[:, 0], np.arange(3, 160) % 2 == 0)
-    np.testing.assert_array_equal(poses.positions_m[:, 0, 2], np.arange(3, 160))
-    np.testing.assert_array_equal(poses.headings_rad[:, 0], -np.arange(3, 160))
-    assert not live.wait(200)
-    with pytest.raises(ModsimError, match="it: ended after 200 steps; step 201 was asked for"):
-        live.poses(199, 201)
 
 
 def test_table_bytes_do_not_depend_on_how_rows_arrive(tmp_path, monkeypatch):

@@ -42,7 +42,7 @@ def test_the_page_and_a_run_have_every_table_whose_columns_have_unit_and_descrip
             assert said == {b"unit": column.unit, b"description": column.meaning}
 
 
-def test_corners_and_centre_of_a_detection_are_those_of_the_thesis_file(strait_run: StoredRun) -> None:
+def test_corners_and_centre_are_those_of_the_thesis_file_and_iou_that_with_the_annotated_box(strait_run):
     table = pq.read_table(strait_run.folder / "detections.parquet")
     corners, centred = (np.column_stack([table[name] for name in names]) for names in (BOX_SIDES, CENTRE_FORM))
     np.testing.assert_array_equal(centred, centre_form(corners))
@@ -54,17 +54,6 @@ def test_corners_and_centre_of_a_detection_are_those_of_the_thesis_file(strait_r
     assert told == sorted(map(tuple, centred[np.array(table["camera"].to_pylist()) == "bow"].tolist()))
     frames = sorted(strait_run.frames(), key=lambda frame: frame.step)
     np.testing.assert_array_equal(corners, np.concatenate([frame.detections.boxes_px for frame in frames]))
-
-
-def rewritten(run: StoredRun, folder: Path, table: pa.Table, **changes: object) -> Path:
-    """A copy of a run with another table of detections, other entries in `run.json` and no list of files."""
-    edited_run(run.folder, folder, files=None, **changes)
-    (folder / "detections.parquet").unlink()
-    pq.write_table(table, folder / "detections.parquet")
-    return folder
-
-
-def test_iou_is_that_of_each_true_detection_with_its_vessels_annotated_box(strait_run: StoredRun) -> None:
     truth, found = (pq.read_table(strait_run.folder / f"{name}.parquet") for name in ("truth", "detections"))
     place = ("camera", "step", "vessel")
     boxes = {tuple(row[key] for key in place): row for row in truth.to_pylist()}
@@ -80,6 +69,14 @@ def test_iou_is_that_of_each_true_detection_with_its_vessels_annotated_box(strai
         assert abs(row["iou"] - common / both) < 1e-9
     values = [value for value in found["iou"].to_pylist() if value is not None]
     assert len(values) > 100 and np.mean(values) == pytest.approx(0.87, abs=0.03)
+
+
+def rewritten(run: StoredRun, folder: Path, table: pa.Table, **changes: object) -> Path:
+    """A copy of a run with another table of detections, other entries in `run.json` and no list of files."""
+    edited_run(run.folder, folder, files=None, **changes)
+    (folder / "detections.parquet").unlink()
+    pq.write_table(table, folder / "detections.parquet")
+    return folder
 
 
 @pytest.mark.parametrize("form", [1, 2])

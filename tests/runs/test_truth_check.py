@@ -119,15 +119,6 @@ def test_a_planted_error_stops_a_run_that_is_checked(error, scene, tmp_path, mon
     run_scene(unchecked(scene), tmp_path / "off")
 
 
-def test_truth_that_is_wrong_is_not_kept(scene: Scene, tmp_path: Path) -> None:
-    with pytest.MonkeyPatch.context() as wrong:
-        plant(wrong, "box one pixel off")
-        with pytest.raises(TruthCheckError):
-            run_scene(scene, tmp_path / "run")
-    assert not list((tmp_path / "run" / "unfinished").glob("truth_*"))
-    assert run_scene(scene, tmp_path / "run", resume=True).checked
-
-
 @pytest.mark.parametrize(("steps", "changes", "frames"), [
     (60, {"camera": {"start_offset_s": 55}}, 3),  # none in the first parts
     (60, {"camera": {"start_offset_s": 58}}, 2),  # two frames in all
@@ -141,23 +132,28 @@ def test_frames_that_exist_are_checked_and_the_first_drawn_whole(steps, changes,
     assert (result.checked.whole_frames, result.checked.frames) == (1, expected)
 
 
-def test_streams_check_frames_that_exist(tmp_path: Path) -> None:
-    scene = load_scene(write_boats(tmp_path, 2500, {"frame_rate_hz": 0.01, "start_offset_s": 5}))
-    found = [frame for step in range(2500) for frame in set(truth_check._frames_of_stream(scene, step, step + 1))]
-    taken = truth_check.frames_taken(scene)[0].tolist()
+def test_streams_and_frames_in_memory_are_checked_and_the_row_says_what_was_drawn(tmp_path, scene, monkeypatch):
+    slow = load_scene(write_boats(tmp_path, 2500, {"frame_rate_hz": 0.01, "start_offset_s": 5}))
+    found = [frame for step in range(2500) for frame in set(truth_check._frames_of_stream(slow, step, step + 1))]
+    taken = truth_check.frames_taken(slow)[0].tolist()
     assert [step for step, _ in found[:3]] == taken[:3] and len(found) >= 3 + 2
-    assert set(found) == set(truth_check._frames_of_stream(scene, 0, 2500))
+    assert set(found) == set(truth_check._frames_of_stream(slow, 0, 2500))
     assert all(step in taken for step, _ in found)
-
-
-def test_the_row_says_what_was_drawn() -> None:
+    plant(monkeypatch, "box one pixel off")
+    with pytest.raises(TruthCheckError, match="step 0"):
+        next(iter(simulate_frames(scene)))
+    assert next(iter(simulate_frames(unchecked(scene)))).step == 0
+    assert truth_check.STREAM_STEPS == 1000
     scene = load_scene("simulation_1")
     equal = "1 vessel: pixels equal, boxes within 0.00 px of corner projection"
     rows = [_check_rows(scene, Checked(frames=frames, vessels=max(frames - 1, 0)))[0][1:] for frames in (0, 1, 2)]
     assert rows == [("nothing", "no camera took a frame"), ("1 frame", "no vessel in it"), ("2 frames", equal)]
+    samples = [truth_check._sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
+    assert samples[0] == samples[1] != samples[2] and len(samples[0]) == frame_count(scene) == 4
+    assert frame_count(replace(scene, steps=5)) == 3 and frame_count(replace(scene, steps=150_000)) > 30
 
 
-def test_a_run_without_an_error_is_checked_and_says_so_and_detect_repeats_it(scene: Scene, tmp_path: Path) -> None:
+def test_a_run_without_an_error_says_so_and_a_lens_and_full_images_are_checked_too(scene, tmp_path):
     checked = run_scene(scene, tmp_path / "run").checked
     assert detect_run(tmp_path / "run", tmp_path / "second", seed=3).checked == checked
     for name in ("run", "second"):
@@ -166,22 +162,25 @@ def test_a_run_without_an_error_is_checked_and_says_so_and_detect_repeats_it(sce
     assert counts == (3, 1, 0, 0, 3 * len(BOATS))
     assert checked.from_buffers == 4 * 3  # the raft, and what crosses the near plane
     assert checked.from_spans + checked.from_buffers == 4 * len(BOATS) and 0 < checked.largest_box_px < 1
+    path = write_boats(tmp_path, camera={"distortion": {"k1": -0.1}}, supersample=2)
+    bent = run_scene(load_scene(path), tmp_path / "bent").checked
+    whole = run_scene(load_scene(write_boats(tmp_path, render="full")), tmp_path / "whole").checked
+    assert [(each.from_spans, each.vessels) for each in (bent, whole)] == [(0, 3 * len(BOATS))] * 2
 
 
-def test_all_checks_every_frame_and_off_none(scene: Scene, tmp_path: Path) -> None:
+def test_all_checks_every_frame_and_off_none_and_truth_that_is_wrong_is_not_kept(scene, tmp_path):
     every = replace(scene, annotation=replace(scene.annotation, check="all"))
     found, none = run_scene(every, tmp_path / "all").checked, run_scene(unchecked(scene), tmp_path / "off").checked
     assert (found.frames, none.frames, none.from_spans + none.from_buffers) == (4, 0, 4 * len(BOATS))
     for name in ("truth", "detections", "frames"):
         one, other = ((tmp_path / run / f"{name}.parquet").read_bytes() for run in ("all", "off"))
         assert one == other
-
-
-def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
-    path = write_boats(tmp_path, camera={"distortion": {"k1": -0.1}}, supersample=2)
-    bent = run_scene(load_scene(path), tmp_path / "bent").checked
-    whole = run_scene(load_scene(write_boats(tmp_path, render="full")), tmp_path / "whole").checked
-    assert [(each.from_spans, each.vessels) for each in (bent, whole)] == [(0, 3 * len(BOATS))] * 2
+    with pytest.MonkeyPatch.context() as wrong:
+        plant(wrong, "box one pixel off")
+        with pytest.raises(TruthCheckError):
+            run_scene(scene, tmp_path / "run")
+    assert not list((tmp_path / "run" / "unfinished").glob("truth_*"))
+    assert run_scene(scene, tmp_path / "run", resume=True).checked
 
 
 def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: Path, monkeypatch: Any) -> None:
@@ -215,7 +214,7 @@ def test_a_vessel_without_a_pixel_is_annotated_in_mode_0_unless_a_filter_is_set(
         assert truth_check.check_block(scene, truth, 150, 151, renderer).frames == 1
 
 
-def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path: Path, monkeypatch: Any) -> None:
+def test_the_sample_depends_on_no_workers_or_blocks_and_statistics_see_no_truth_that_is_wrong(tmp_path, monkeypatch):
     scene = load_scene(write_boats(tmp_path, steps=9))
     plain = run_scene(scene, tmp_path / "plain")
     monkeypatch.setattr("modsim3d.runs.pipeline.MAX_BLOCK_STEPS", 2)
@@ -223,30 +222,13 @@ def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path:
     assert run_scene(scene, tmp_path / "workers", workers=2).checked == plain.checked
     resumed = run_scene(scene, interrupt(scene, tmp_path / "resumed"), resume=True)
     assert resumed.resumed_steps and resumed.checked == plain.checked
-
-
-def test_a_detector_that_needs_target_statistics_sees_no_truth_that_is_wrong(tmp_path, monkeypatch):
+    monkeypatch.undo()
     scene = load_scene(write_boats(tmp_path))
     monkeypatch.setattr(type(scene.detector), "needs_target_statistics", property(lambda _: True))
     assert run_scene(scene, tmp_path / "good").checked.frames == 3
     plant(monkeypatch, "box one pixel off")
     with pytest.raises(TruthCheckError):
         run_scene(scene, tmp_path / "bad")
-
-
-def test_frames_in_memory_and_streams_are_checked_from_the_first_on(scene, monkeypatch):
-    plant(monkeypatch, "box one pixel off")
-    with pytest.raises(TruthCheckError, match="step 0"):
-        next(iter(simulate_frames(scene)))
-    assert next(iter(simulate_frames(unchecked(scene)))).step == 0
-    assert truth_check.STREAM_STEPS == 1000
-
-
-def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
-    scene = load_scene("simulation_1")
-    samples = [truth_check._sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
-    assert samples[0] == samples[1] != samples[2] and len(samples[0]) == frame_count(scene) == 4
-    assert frame_count(replace(scene, steps=5)) == 3 and frame_count(replace(scene, steps=150_000)) > 30
 
 
 def test_the_command_names_vessel_and_draws_it_and_gives_a_command_if_the_scene_has_a_file(tmp_path, monkeypatch, call):

@@ -1,12 +1,16 @@
-"""Bearing, inverse range and position of boxes: against one-by-one geometry, and against Monte Carlo."""
+"""Bearing, inverse range and position of boxes: one by one, by Monte Carlo, and the campaign's stored result."""
 
+import json
+from collections.abc import Iterable
 from dataclasses import fields, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
 import modsim3d
+from benchmarks.campaigns.positions import OUT, SCENES, SEEDS, look_at, page, position_law, problems
 from modsim3d import ModsimError, Scene
 from modsim3d.core.arrays import Array
 from modsim3d.detector.box_error import BoxErrorSource
@@ -15,7 +19,60 @@ from modsim3d.geometry.camera_poses import heading_of, poses_on_board
 from modsim3d.runs import locating
 from modsim3d.runs.locating import MAX_RANGE_ERROR, Located, locate, state_shares
 from modsim3d.scene.cameras import own_ships_at
-from tests.runs.positions.position_scenes import STEPS, detector, position_scene
+from tests.scenes import camera_keys
+
+STEPS = 30
+COVARIANCE = [[30.0, 5, 6, 0], [5, 9, 0, -6], [6, 0, 40, 8], [0, -6, 8, 20]]
+OTHER_COVARIANCE = [[60.0, 0, -6, 0], [0, 16, 0, 4], [-6, 0, 90, 0], [0, 4, 0, 50]]
+LENS = camera_keys(1280, 800)
+
+
+def detector(**box_error: Any) -> dict[str, Any]:
+    """A detector with two states of different errors, which misses a fifth in one and half in the other."""
+    laws = {"clear": ([1, 2, -3, 4], COVARIANCE, 0.8), "haze": ([-4, 5, 2, -2], OTHER_COVARIANCE, 0.5)}
+    return {
+        "labels": ["Boat", "Ship"], "confidence_threshold": 0.2, "initial_state": "clear",
+        "transition_matrix": [[0.9, 0.3], [0.1, 0.7]], "false_positives": {"model": "calibrated"},
+        "states": {
+            name: {
+                "confusion": [[share, 0], [0, share], [1 - share, 1 - share]],
+                "false_positive_labels": [0.5, 0.5],
+                "false_discovery_rate": 0.2,
+                "box_error": {"unit": "px", "mean": mean, "covariance": covariance, **box_error},
+                "confidence": {"mean": 0.6, "std": 0.1},
+            }
+            for name, (mean, covariance, share) in laws.items()
+        },
+    }  # fmt: skip
+
+
+def position_scene(**keys: Any) -> Scene:
+    """The scene; keys of the scene file replace its own."""
+    steps = np.arange(STEPS, dtype=float)
+    positions, headings = np.zeros((STEPS, 3, 2)), np.zeros((STEPS, 3))
+    positions[:, 0, 0], headings[:, 0] = 4 * steps, 0.2
+    positions[:, 1] = np.stack([300 + 2 * steps, 40 + 0 * steps], axis=1)
+    positions[:, 2] = [400, 20]
+    mount = {"vessel": "flagship", "position_m": [8, 1, 7], "roll_rad": 0.1, "pitch_rad": 0.05, "yaw_rad": 0.1}
+    attitude = {"attitude_noise_rad": 0.004, "attitude_bias_rad": 0.003}
+    data: dict[str, Any] = {
+        "seed": 3,
+        "vessels": {
+            "flagship": {"length_m": 20, "beam_m": 6, "air_draft_m": 6, "label": "Boat"},
+            "mermaid": {"length_m": 12, "beam_m": 4, "air_draft_m": 5, "label": "Boat"},
+            "leviathan": {"length_m": 80, "beam_m": 12, "air_draft_m": 20, "label": "Ship"},
+        },
+        "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 0.5},
+        "cameras": {
+            "bow": {**LENS, "distortion": {"k1": -0.1, "k2": 0.02, "p1": 0.001}, "mount": mount},
+            "shore": {**LENS, "pose": {"position_m": [-50, 30, 20], "pitch_rad": 0.05}},
+        },
+        "waves": {"spectrum": "jonswap", "significant_height_m": 1.0, "peak_period_s": 5.0, "direction_rad": 1.0},
+        "imu": {**attitude, "heading_noise_rad": 0.01, "heading_bias_rad": 0.005},
+        "annotation": {"source": "analytic"}, "detector": detector(),
+    }  # fmt: skip
+    return Scene.from_dict(data | keys)
+
 
 BOXES = np.array([[600.0, 380, 660, 430], [100, 420, 180, 470], [900, 350, 1200, 600], [500, 340, 530, 400]])
 EXACT = {"covariance": np.zeros((4, 4)).tolist()}
@@ -82,7 +139,7 @@ def test_the_mean_error_is_taken_out(sharp, unit, mean, atol_rad, atol_per_m):
     np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m, atol=atol_per_m)
 
 
-def test_shares_of_states_are_those_of_the_long_run_weighted_by_detections() -> None:
+def test_shares_of_states_are_those_of_the_long_run_and_errors_of_centre_and_foot_those_of_the_mixture(scene):
     model = parse_detector(detector())
     # 0.1 p = 0.3 (1 − p): three quarters of the time clear, in which 0.8 are seen and not 0.5
     np.testing.assert_allclose(state_shares(model), np.array([0.75 * 0.8, 0.25 * 0.5]) / (0.75 * 0.8 + 0.25 * 0.5))
@@ -90,6 +147,12 @@ def test_shares_of_states_are_those_of_the_long_run_weighted_by_detections() -> 
     np.testing.assert_allclose(state_shares(stuck), [1, 0])
     periodic = parse_detector(detector() | {"transition_matrix": [[0, 1], [1, 0]]})
     np.testing.assert_allclose(state_shares(periodic), [0.8 / 1.3, 0.5 / 1.3])
+    drawn = drawn_errors(scene, DRAWS) @ locating.FOOT_OF_ERRORS.T
+    law = locating.foot_errors(scene.detector, BOXES[:1])
+    std = np.sqrt(np.diag(law.covariances[0]))
+    np.testing.assert_allclose((drawn.mean(axis=0) - law.means[0]) / std, 0, atol=4 / np.sqrt(DRAWS))
+    whitened = (np.cov(drawn.T) - law.covariances[0]) / (std[:, None] * std)
+    np.testing.assert_allclose(whitened, 0, atol=4 * np.sqrt(3 / DRAWS))  # of a kurtosis below 4
 
 
 def drawn_errors(scene: Scene, count: int) -> Array:
@@ -97,15 +160,6 @@ def drawn_errors(scene: Scene, count: int) -> Array:
     rng, source = np.random.default_rng(5), BoxErrorSource.from_model(scene.detector)
     states = rng.choice(len(scene.detector.states), count, p=state_shares(scene.detector))
     return source.errors_px(states, np.full((count, 2), 50.0), rng.standard_normal((count, 4)))
-
-
-def test_errors_of_centre_and_foot_are_those_of_the_mixture(scene: Scene) -> None:
-    drawn = drawn_errors(scene, DRAWS) @ locating.FOOT_OF_ERRORS.T
-    law = locating.foot_errors(scene.detector, BOXES[:1])
-    std = np.sqrt(np.diag(law.covariances[0]))
-    np.testing.assert_allclose((drawn.mean(axis=0) - law.means[0]) / std, 0, atol=4 / np.sqrt(DRAWS))
-    whitened = (np.cov(drawn.T) - law.covariances[0]) / (std[:, None] * std)
-    np.testing.assert_allclose(whitened, 0, atol=4 * np.sqrt(3 / DRAWS))  # of a kurtosis below 4
 
 
 @pytest.mark.parametrize(("camera", "attitude"), [("bow", "measured"), ("bow", "true"), ("shore", "measured")])
@@ -162,16 +216,13 @@ def with_shore_mount(scene: Scene, **angles: float) -> Scene:
     return replace(scene, cameras=(replace(shore, mount=replace(shore.mount, **angles)),))
 
 
-def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None:
+def test_bearings_about_half_a_turn_have_the_same_variance_and_a_cut_box_no_middle_or_no_foot(scene):
     """They jump from π to −π there; derivatives must not."""
     boxes = np.array([620.0, 370, 660, 430]) + np.linspace(-0.6, 0.6, 13)[:, None] * [1, 0, 1, 0]
     ahead, behind = (locate(each, "shore", 0, boxes) for each in (scene, with_shore_mount(scene, yaw_rad=np.pi)))
     assert (np.abs(behind.bearing_rad) > 3.1).all() and len({*np.sign(behind.bearing_rad)}) == 2
     np.testing.assert_allclose(behind.bearing_std_rad, ahead.bearing_std_rad, rtol=1e-6)
     np.testing.assert_allclose(behind.covariance_rad_per_m, ahead.covariance_rad_per_m, rtol=1e-3, atol=1e-12)
-
-
-def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
     boxes = np.array([[0.0, 400, 60, 460], [1200, 400, 1280, 460], [600, 700, 700, 800], [600, 0, 700, 450.0]])
     found = locate(scene, "shore", 0, boxes)
     columns = found.bearing_rad, found.bearing_std_rad, found.inverse_range_per_m, found.covariance_rad_per_m
@@ -219,7 +270,7 @@ def test_a_position_is_given_where_the_share_of_the_error_is_small(scene: Scene,
     np.testing.assert_allclose(heading_of(away), found.bearing_rad[given], atol=1e-12)
 
 
-def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene: Scene) -> None:
+def test_first_order_ellipses_hold_where_they_are_given_and_rows_do_not_depend_on_each_other(scene):
     """Normal errors of the foot: what the threshold promises, and what it spares a tracker."""
     errors, exact, tails = drawn_errors(scene, DRAWS), position_scene(detector=NO_ERRORS), {}
     for bottom in (760.0, 362.0):  # a position is given, and not
@@ -231,9 +282,6 @@ def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene
         error[estimate <= 0] = np.inf
         tails[bottom] = np.mean(error < -INSIDE), np.mean(error > INSIDE)
     assert abs(sum(tails[760.0]) - 0.05) < 0.01 and tails[362.0][0] > 2 * 0.025 > 0.01 > tails[362.0][1]
-
-
-def test_rows_do_not_depend_on_each_other(scene: Scene) -> None:
     steps = np.array([3, 17, 3, 29])
     whole = locate(scene, "bow", steps, BOXES)
     for row, step in enumerate(steps.tolist()):
@@ -259,3 +307,68 @@ def test_what_cannot_be_located_is_said(scene: Scene) -> None:
             modsim3d.locate(scene, **{"camera": "bow", "step": 0, "boxes_px": BOXES, **change})
     with pytest.raises(TypeError, match="scene: a Scene is needed"):
         modsim3d.locate("strait", "bow", 0, BOXES)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def stored() -> dict[str, Any]:
+    return json.loads((OUT / "positions.json").read_text(encoding="utf-8"))
+
+
+def test_the_stored_result_is_complete_and_within_bounds_and_so_is_a_small_campaign(stored):
+    assert problems(stored["rows"]) == [] and stored["seeds"] == SEEDS and stored["most_range_error"] == MAX_RANGE_ERROR
+    seen = {(row["scene"], row["sea"], row["attitude"], row["errors"]) for row in stored["rows"]}
+    assert {name for name, *_ in seen} == set(SCENES) and len(SCENES) == 5
+    for name in SCENES:
+        attitudes = {attitude for scene, _, attitude, _ in seen if scene == name}
+        assert attitudes in ({"ashore"}, {"true", "measured"})
+        assert set(product([name], ("flat", "curved"), attitudes, (1.0, 0.2))) <= seen
+    assert (OUT / "positions.md").read_text(encoding="utf-8") == page(stored)
+    row = stored["rows"][0]
+    for change in ({"mean": 0.3}, {"std": 1.2}, {"inside": 0.9}):
+        assert len(problems([row | {"bearing": row["bearing"] | change}])) == 1
+    assert len(problems([row | {"given": 5000, "inside_given": 0.9}])) == 1
+    # Where no position is given it would be wrong, as in Simulation 1 with the thesis's errors.
+    (row,) = (row for row in stored["rows"] if (row["scene"], row["sea"], row["errors"]) == ("simulation_1", "flat", 1))
+    assert row["given"] == 0 and row["inside_others"] < 0.92
+    for name in SCENES:
+        rows = [row for row in stored["rows"] if row["scene"] == name and row["given"] >= 1000]
+        assert rows, name
+        for row in rows:
+            assert row["inside_given"] > row["inside_others"] - 0.02, (name, row["sea"], row["errors"])
+    row = look_at("strait", "curved", "measured", 1.0, 20, 4)
+    for key in ("bearing", "inverse_range"):
+        assert row[key]["n"] > 300
+        assert abs(row[key]["mean"]) < 0.9 and 0.5 < row[key]["std"] < 1.5 and row[key]["inside"] > 0.85, row[key]
+    # The error over its stated deviation is −z (1 + ε z): its mean is −ε.
+    for row in position_law(100_000):
+        if row["share"] <= 0.15:  # beyond, some inverse ranges are negative
+            assert row["mean"] == pytest.approx(-row["share"], abs=0.02) and row["short"] > 0.025 > row["far"]
+
+
+@pytest.mark.parametrize(("errors", "column"), [(1.0, 1), (0.2, 2)])
+def test_the_page_has_the_numbers_of_the_stored_result(stored: dict[str, Any], errors: float, column: int) -> None:
+    lines = (OUT.parent / "positions.md").read_text(encoding="utf-8").splitlines()
+    start = next(at for at, line in enumerate(lines) if line.startswith("| | Own detector"))
+    cells = [line.split(" | ")[column].removesuffix(" |") for line in lines[start + 2 : start + 7]]
+    rows = [row for row in stored["rows"] if row["errors"] == errors]
+    pairs = [row[key] for row in rows for key in ("bearing", "inverse_range")]
+    means, given = [pair["mean"] for pair in pairs], [row["inside_given"] for row in rows if row["given"]]
+    expected = [
+        _percents(row["bearing"]["inside"] for row in rows),
+        _percents(row["inverse_range"]["inside"] for row in rows),
+        f"{min(means):+.2f} to {max(means):+.2f}".replace("-", "−"),
+        _percents(given),
+        _percents(row["inside_others"] for row in rows),
+    ]
+    assert [cell[: len(text)] for cell, text in zip(cells, expected, strict=True)] == expected
+    if errors == 1.0:
+        assert {row["scene"] for row in rows if row["given"]} == {"strait"}
+        offsets = {line.split(" | ")[0].strip("| "): line.split(" | ")[1] for line in lines if line.count(" | ") == 2}
+        for row in (row for row in rows if row["sea"] == "flat"):
+            name = row["scene"].replace("simulation_", "Simulation ")
+            assert offsets[name] == f"{row['centre_beyond_foot_m']:.1f} m"
+
+
+def _percents(values: Iterable[float]) -> str:
+    known = sorted(100 * value for value in values)
+    return f"{known[0]:.1f} to {known[-1]:.1f} %"

@@ -72,7 +72,7 @@ def send_all(server: LineServer, lines: list[bytes] = LINES) -> None:
         server.send(line)
 
 
-def test_two_readers_get_every_line_and_one_that_comes_late_gets_those_that_are_kept() -> None:
+def test_two_readers_get_every_line_and_the_slowest_holds_the_stream_up():
     with serve() as server:
         first = Background(lambda: rest_of(connect(server)))
         server.wait_for_reader()
@@ -81,9 +81,6 @@ def test_two_readers_get_every_line_and_one_that_comes_late_gets_those_that_are_
         send_all(server, LINES[3000:])
         server.finish()
         assert first.result() == late.result() == [HEADER, *LINES]
-
-
-def test_the_slowest_reader_holds_the_stream_up_and_loses_nothing() -> None:
     with serve(backlog_bytes=10_000) as server:
         slow, fast = connect(server, small=True), Background(lambda: rest_of(connect(server)))
         sending = Background(lambda: (send_all(server), server.finish()))
@@ -115,7 +112,7 @@ def test_what_is_kept_is_bounded_and_a_reader_that_comes_back_gets_it_from_the_o
         assert stays.result()[-1] == LINES[-1]
 
 
-def test_a_reader_that_takes_nothing_is_disconnected_with_a_word() -> None:
+def test_a_reader_that_takes_nothing_is_disconnected_and_one_that_crashed_gets_all_when_it_is_back():
     said: list[str] = []
     with serve(warn=said.append, backlog_bytes=10_000) as server, closing(connect(server, small=True)):
         server.wait_s = 0.03
@@ -123,9 +120,6 @@ def test_a_reader_that_takes_nothing_is_disconnected_with_a_word() -> None:
             send_all(server)
             server.finish()
     assert len(said) == 1 and "has taken nothing for 0.3 s, and is disconnected" in said[0]
-
-
-def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
     gone = threading.Event()
     with serve(tell=lambda text: gone.set() if text.endswith("has gone") else None) as server:
         crashed = connect(server)
@@ -137,7 +131,7 @@ def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
         assert rest_of(connect(server)) == [HEADER, *LINES[:100]] and ending.result() is None
 
 
-def test_a_stream_that_nobody_takes_ends() -> None:
+def test_a_stream_that_nobody_takes_ends_and_hanging_up_early_ends_it_at_once():
     with serve() as server:
         connect(server).close()
         server.wait_s = 0.05
@@ -146,9 +140,14 @@ def test_a_stream_that_nobody_takes_ends() -> None:
             server.finish()
     with serve(0.05) as server, pytest.raises(ModsimError, match=r"nobody has connected for 0\.05 s"):
         server.wait_for_reader()
+    with serve() as server:
+        reader = connect(server)
+        send_all(server, LINES[:10])
+        first = reader.recv(8, socket.MSG_PEEK)
+    assert first and rest_of(reader)[0] == HEADER
 
 
-def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
+def test_what_a_reader_sends_is_never_taken_in_and_an_end_with_lines_on_the_way_is_none():
     with serve() as server:
         reader = connect(server)
         reader.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
@@ -159,6 +158,20 @@ def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
         server.finish()
         assert reading.result() == [HEADER, *LINES]
         pushing.result()
+
+    class Ended(socket.socket):
+        """A connection that the other side has closed, and then refused what was still sent."""
+
+        def recv(self, *sizes: int) -> bytes:
+            return b""
+
+        def getsockopt(self, *options: int) -> int:  # type: ignore[override]
+            return errno.EPIPE
+
+    with socket.create_server(("127.0.0.1", 0)) as listener, closing(Ended()) as connection:
+        connection.connect(listener.getsockname())
+        with pytest.raises(ReaderGone):
+            Reader(connection, "it", HEADER, 0).has_hung_up()
 
 
 def test_a_reader_that_sends_after_the_last_line_or_ends_its_own_side_first_still_gets_all_lines() -> None:
@@ -179,23 +192,7 @@ def test_a_reader_that_sends_after_the_last_line_or_ends_its_own_side_first_stil
         assert reading.result() == [HEADER, *LINES]
 
 
-def test_an_end_with_lines_on_the_way_is_no_reader_that_has_everything() -> None:
-    class Ended(socket.socket):
-        """A connection that the other side has closed, and then refused what was still sent."""
-
-        def recv(self, *sizes: int) -> bytes:
-            return b""
-
-        def getsockopt(self, *options: int) -> int:  # type: ignore[override]
-            return errno.EPIPE
-
-    with socket.create_server(("127.0.0.1", 0)) as listener, closing(Ended()) as connection:
-        connection.connect(listener.getsockname())
-        with pytest.raises(ReaderGone):
-            Reader(connection, "it", HEADER, 0).has_hung_up()
-
-
-def test_one_reader_too_many_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_reader_too_many_is_turned_away_and_a_fault_in_the_thread_ends_the_stream(monkeypatch):
     monkeypatch.setattr(server_module, "MAX_READERS", 1)
     said: list[str] = []
     with serve(warn=said.append) as server:
@@ -206,8 +203,6 @@ def test_one_reader_too_many_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> 
         assert first.result() == [HEADER]
     assert len(said) == 1 and "turned away: there are 1 already" in said[0]
 
-
-def test_a_fault_in_the_thread_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*arguments: object) -> None:
         raise OSError("too many open files")
 
@@ -216,11 +211,3 @@ def test_a_fault_in_the_thread_ends_the_stream(monkeypatch: pytest.MonkeyPatch) 
         server.send(LINES[0])
         with pytest.raises(OSError, match="too many open files"):
             server.wait_for_reader()
-
-
-def test_hanging_up_early_ends_at_once_and_what_was_sent_arrives() -> None:
-    with serve() as server:
-        reader = connect(server)
-        send_all(server, LINES[:10])
-        first = reader.recv(8, socket.MSG_PEEK)
-    assert first and rest_of(reader)[0] == HEADER
