@@ -68,7 +68,7 @@ def write(tmp_path: Path) -> Write:
     return scene
 
 
-def test_drawn_vessels_come_after_those_of_the_scene_file_and_depend_on_the_seed(write: Write) -> None:
+def test_drawn_vessels_come_after_those_of_the_file_by_the_seed_and_settings_reach_the_source(write):
     path = write(obstacles={"quay": {"polygon_m": [[0, 90], [9, 90], [9, 99]], "height_m": 3}})
     assert load_scene(path).vessel_names == ("own", "drawn_0")
     scene, strait = load_scene(path, seed=3), load_scene("strait")
@@ -79,19 +79,6 @@ def test_drawn_vessels_come_after_those_of_the_scene_file_and_depend_on_the_seed
     assert [obstacle.name for obstacle in seen[-1].obstacles] == ["quay"]
     assert (scene.traffic_seed, scene.traffic) == (3, "drawn from seed 3")
     assert (strait.traffic_seed, strait.traffic) == (None, "this traffic only")
-
-
-def test_a_setting_inside_the_section_reaches_the_source_and_a_mapping_draws_vessels_too(write: Write) -> None:
-    path = write({"most": 3})
-    assert len(load_scene(path, seed=3, settings={"poses.convoy.most": 2}).vessels) == 1
-    said = r"--set poses\.convoy\.label: |poses\.convoy: draws vessels with the label 'x'"
-    with pytest.raises(InputError, match=said):
-        load_scene(path, seed=3, settings={"poses.convoy.label": "x"})
-    data = json.loads(path.read_text()) | {"poses": {"convoy": {"most": np.int64(3)}}, "detector": GOOD["detector"]}
-    assert Scene.from_dict(data, seed=2).vessel_names == ("own", "drawn_0", "drawn_1")
-
-
-def test_a_scene_may_have_no_vessels_but_drawn_ones(write: Write) -> None:
     path = write(vessels={})
     assert load_scene(path, seed=2).vessel_names == ("drawn_0", "drawn_1")
     with pytest.raises(InputError, match=r"poses\.convoy: draws no vessel from seed 4, and vessels has none"):
@@ -102,6 +89,13 @@ def test_a_scene_may_have_no_vessels_but_drawn_ones(write: Write) -> None:
     path = write(vessels={}, poses={"tracks": {"a": [[0, 0, 0], [9, 9, 0]]}})
     with pytest.raises(InputError, match="vessels: no vessels; a scene needs at least one"):
         load_scene(path)
+    path = write({"most": 3})
+    assert len(load_scene(path, seed=3, settings={"poses.convoy.most": 2}).vessels) == 1
+    said = r"--set poses\.convoy\.label: |poses\.convoy: draws vessels with the label 'x'"
+    with pytest.raises(InputError, match=said):
+        load_scene(path, seed=3, settings={"poses.convoy.label": "x"})
+    data = json.loads(path.read_text()) | {"poses": {"convoy": {"most": np.int64(3)}}, "detector": GOOD["detector"]}
+    assert Scene.from_dict(data, seed=2).vessel_names == ("own", "drawn_0", "drawn_1")
 
 
 WRONG = {
@@ -150,9 +144,7 @@ def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Writ
     assert load_scene(stored.path, seed=3).vessel_names == ("own", "drawn_0", "drawn_1", "drawn_2", "ferry")
 
 
-def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(
-    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(write: Write, tmp_path: Path, monkeypatch) -> None:
     """As with a later version of the source: the run's tables are not of these vessels."""
     scene = load_scene(write(annotation={"mode": 2, "source": "analytic"}), seed=2)
     folder = run_scene(scene, tmp_path / "run").folder
@@ -164,9 +156,7 @@ def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(
 
 
 @pytest.mark.parametrize(("shift_m", "same"), [(1e-12, True), (1e-3, False)])
-def test_the_checksum_of_a_traffic_is_that_of_every_processor(
-    write: Write, monkeypatch: pytest.MonkeyPatch, shift_m: float, same: bool
-) -> None:
+def test_the_checksum_of_a_traffic_is_that_of_every_processor(write, monkeypatch, shift_m: float, same: bool) -> None:
     """Last bits of sines differ between processors: a run is opened where they do."""
     path, at = write(), Convoy.at
     before = load_scene(path, seed=2).traffic_sha256()

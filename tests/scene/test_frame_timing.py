@@ -94,20 +94,6 @@ def finished(tmp_path_factory) -> Path:
     return run_scene(load_scene(scene), folder / "run").folder
 
 
-def test_a_cameras_files_hold_its_own_frames(finished):
-    assert SLOW[:4] == [8, 10, 13, 15]
-    frames, truth = (pq.read_table(finished / f"{name}.parquet").to_pylist() for name in ("frames", "truth"))
-    steps = {camera: [row["step"] for row in frames if row["camera"] == camera] for camera in ("slow", "fast")}
-    assert steps == {"slow": SLOW, "fast": list(range(STEPS))}
-    assert {row["step"] for row in truth if row["camera"] == "slow"} <= set(SLOW)
-    for kind in ("annotations", "detections"):
-        slow, fast = (json.loads((finished / f"{kind}_{camera}.json").read_text()) for camera in ("slow", "fast"))
-        assert (list(slow), len(fast)) == ([f"{step / 10}" for step in SLOW], STEPS)
-    counts = json.loads((finished / "run.json").read_text())["counts"]
-    assert counts["frames"] == STEPS + len(SLOW)
-    assert counts["detected"] == sum(row["n_detected"] for row in frames)
-
-
 @pytest.mark.parametrize("detector", ["thesis", "rich"])
 def test_a_slow_cameras_frames_are_those_of_a_fast_one_at_these_steps(tmp_path, detector):
     slow = load_scene(rig(tmp_path / "slow", detector=detector, C0={"frame_rate_hz": 2.5}, C1={}))
@@ -127,19 +113,27 @@ def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector)
     assert run_files(tmp_path / "single") == run_files(tmp_path / "whole")
 
 
-def test_frames_read_back_are_those_of_the_simulation(finished):
+def test_a_cameras_files_hold_its_own_frames_with_the_times_of_those_before(finished):
     run = open_run(finished)
     assert_same_frames(run.frames(), simulate_frames(run.scene))
-
-
-def test_the_detector_knows_when_the_camera_took_its_frame_before(finished):
     scene = open_run(finished).scene
     for first, stop, steps, previous_s in ((12, 20, [13, 15, 18], 1.0), (0, 8, [], -math.inf)):
         _, slow = pipeline.detector_inputs(scene, pipeline.truth_block(scene, first, stop, None), first, stop)
         assert slow.frames.steps.tolist() == steps and slow.frames.previous_s == pytest.approx(previous_s)
+    assert SLOW[:4] == [8, 10, 13, 15]
+    frames, truth = (pq.read_table(finished / f"{name}.parquet").to_pylist() for name in ("frames", "truth"))
+    steps = {camera: [row["step"] for row in frames if row["camera"] == camera] for camera in ("slow", "fast")}
+    assert steps == {"slow": SLOW, "fast": list(range(STEPS))}
+    assert {row["step"] for row in truth if row["camera"] == "slow"} <= set(SLOW)
+    for kind in ("annotations", "detections"):
+        slow, fast = (json.loads((finished / f"{kind}_{camera}.json").read_text()) for camera in ("slow", "fast"))
+        assert (list(slow), len(fast)) == ([f"{step / 10}" for step in SLOW], STEPS)
+    counts = json.loads((finished / "run.json").read_text())["counts"]
+    assert counts["frames"] == STEPS + len(SLOW)
+    assert counts["detected"] == sum(row["n_detected"] for row in frames)
 
 
-def test_films_show_the_last_frame_that_a_camera_took(finished):
+def test_films_and_reports_show_the_last_frame_that_a_camera_took_once(finished, tmp_path):
     run = open_run(finished)
     for first in (0, 7, 9, 20):
         for shown in select(run, (0, 1), from_s=first / 10).step_frames():
@@ -155,10 +149,6 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
     np.testing.assert_array_equal(right[8], right[9])
     assert np.any(right[9] != right[10])
     assert np.ptp(right[7].reshape(-1, 3), axis=0).max() == 0  # nothing yet
-
-
-def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path):
-    run = open_run(finished)
     whole, thinned = (read(write_report(run, tmp_path / f"{every}.html", every)) for every in (1, 3))
     assert whole.taken[:, 0].tolist() == list(range(STEPS)) and whole.taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
     assert whole.stored == STEPS + len(SLOW) + 1  # and one for no frame yet

@@ -1,8 +1,12 @@
-"""A scene without files is the scene that its files would be, and what is wrong with it is said as of a file."""
+"""A scene without files is the scene that its files would be; wrong keys and broken files are told."""
 
 import copy
+import gzip
 import json
+import struct
+import tracemalloc
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +14,12 @@ import pytest
 import yaml
 
 from modsim3d import InputError, Scene, load_detector, load_scene, open_run, run_scene, simulate_frames
-from modsim3d.io.input_files import data_folder
+from modsim3d.io.input_files import data_folder, read_text
 from modsim3d.runs.run import settings_of
+from modsim3d.scene.keys import PoseKeys
 from tests.cli.bad_input.builders import ASHORE, GOOD, lens
 from tests.run_folders import interrupt, run_files
+from tests.scenes import camera_keys, write_scene
 
 SCENES = data_folder("scenes")
 THESIS = SCENES / "detectors" / "thesis.yaml"
@@ -89,14 +95,7 @@ def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch, call):
         assert run_files(Path("workers")) == run_files(Path("run"))
 
 
-def test_an_interrupted_run_of_it_goes_on(tmp_path):
-    interrupt(Scene.from_dict(good()), tmp_path / "run")
-    assert run_scene(Scene.from_dict(good()), tmp_path / "run", resume=True).resumed_steps
-    run_scene(Scene.from_dict(good()), tmp_path / "whole")
-    assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
-
-
-def test_it_keeps_nothing_of_the_callers(tmp_path):
+def test_an_interrupted_run_of_it_goes_on_and_it_keeps_nothing_of_the_callers(tmp_path):
     data = good()
     run_scene(Scene.from_dict(good()), tmp_path / "before")
     scene = Scene.from_dict(data)
@@ -109,9 +108,13 @@ def test_it_keeps_nothing_of_the_callers(tmp_path):
     assert run_files(tmp_path / "after") == run_files(tmp_path / "before")
     with pytest.raises(ValueError, match="read-only"):
         scene.poses.poses(0, 1).positions_m[:] = 0.0
+    interrupt(Scene.from_dict(good()), tmp_path / "run")
+    assert run_scene(Scene.from_dict(good()), tmp_path / "run", resume=True).resumed_steps
+    run_scene(Scene.from_dict(good()), tmp_path / "whole")
+    assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
 
 
-def test_columns_may_be_named_in_any_order_and_places_may_have_a_height(tmp_path):
+def test_columns_may_be_in_any_order_and_names_and_numbers_come_back_to_the_last_bit(tmp_path):
     run_scene(Scene.from_dict(good()), tmp_path / "plain")
     poses = good()["poses"]
     flat, headings = poses["positions_m"][:, ::-1], poses["headings_rad"][:, ::-1].tolist()
@@ -125,9 +128,6 @@ def test_columns_may_be_named_in_any_order_and_places_may_have_a_height(tmp_path
     scene = Scene.from_dict(good() | {"poses": {**one, **named}})
     assert scene.poses.poses(0, 6).present.tolist() == [[True, False]] * 6
     assert scene.timestamps(0, 3) == ("0.0", "0.5", "1.0")
-
-
-def test_any_name_of_a_vessel_and_numbers_come_back_to_the_last_bit(tmp_path):
     rng, data = np.random.default_rng(0), good(50)
     data["vessels"] = {"vehicle1": data["vessels"]["vehicle1"], '"}},{"é': data["vessels"]["vehicle2"]}
     positions = rng.normal(0, 10.0 ** rng.integers(-8, 8, (50, 2, 3)))
@@ -254,7 +254,7 @@ def test_what_is_wrong_is_said_in_a_line(data, problem):
     assert len(problems) == 1 or problem in CAUSES_OF_OTHERS, problems
 
 
-def test_every_problem_is_said_at_once_with_its_path():
+def test_every_problem_is_said_at_once_with_its_path_and_what_no_file_could_give_is_refused():
     data = good()
     data["cameras"]["bow"]["focal_length_m"] = np.float64(-1.0)
     data["cameras"]["shore"]["pose"] = {"position_m": np.zeros(2)}
@@ -269,9 +269,6 @@ def test_every_problem_is_said_at_once_with_its_path():
     parts += ["detector: confidence_threshold: ", "poses.names: no vessel 'one'"]
     assert [part for part in parts if part not in said] == [] and "scene scene" not in said
     assert str(error.value).startswith("scene:\n")
-
-
-def test_what_no_file_could_give_is_refused():
     nested = good()
     nested["waves"] = nested
     detector = replace(load_detector(THESIS), confidence_threshold=0.5)
@@ -304,3 +301,112 @@ def test_its_own_files_are_no_files_that_lie_there_by_chance(tmp_path, monkeypat
     scene = Scene.from_dict(good())
     assert scene.copy.read == ()
     run_scene(scene, tmp_path / "run", overwrite=True)
+
+
+STEPS = 5
+BOATS = {"own": ([8, 4, 2], []), "other": ([20, 6, 9], [])}
+WEDGE = "v 0 0 0\nv 4 0 0\nv 0 2 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+
+
+@pytest.fixture
+def refused(call, tmp_path):
+    """Has `check` and `run` refuse a scene, and gives the one problem that they say."""
+
+    def look(scene):
+        first, second = call("check", "scene", scene), call("run", scene, "--out", tmp_path / "out", "--no-sheet")
+        assert first == second and first[0] == 2 and not (tmp_path / "out").exists()
+        head, problem = first[1].splitlines()
+        assert head == f"modsim3d: scene {scene}:"
+        return problem.strip()
+
+    return look
+
+
+def scene_of(folder, file, **keys):
+    cameras = {"C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2.5]})}
+    return write_scene(folder, BOATS, None, time_step_s=None, poses={"file": file}, cameras=cameras, **keys)
+
+
+def whole(form, absent=()):
+    """A pose file of five steps, but for what is absent at some: steps and vessels."""
+    places = {name: [60.0 * place, 0, 0] for place, name in enumerate(BOATS)}
+    poses = {f"{step}.0": {} for step in range(STEPS)}
+    for (step, entries), name in product(enumerate(poses.values()), BOATS):
+        if (step, name) not in absent:
+            entries[name] = {"center_position_m": [places[name][0] + step, 0, 0], "heading_rad": 0.0}
+    if form == "json":
+        return json.dumps(poses, indent=1).encode()
+    return "".join(json.dumps({time: entries}) + "\n" for time, entries in poses.items()).encode()
+
+
+@pytest.mark.parametrize("form", ["json", "jsonl"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_poses_that_are_cut_off_are_told_and_whole_ones_read_whatever_their_name(tmp_path, refused, form, packed):
+    lines, pack = whole(form).splitlines(keepends=True), gzip.compress if packed else bytes
+    last = len(lines) * 2 // 3
+    cut = b"".join(lines[:last]) + lines[last][: len(lines[last]) // 2]
+    name, other = (f"poses.{form}{ending}" for ending in ((".gz", "") if packed else ("", ".gz")))
+    content, faults = pack(whole(form)), [(pack(cut), f"line {last + 1}")]
+    if packed:
+        faults.append((content[: len(content) * 2 // 3], "not a complete gzip file"))
+    for fault, words in faults:
+        (tmp_path / name).write_bytes(fault)
+        said = refused(scene_of(tmp_path, name))
+        assert name in said and words in said
+    (tmp_path / other).write_bytes(content)
+    assert load_scene(scene_of(tmp_path, other)).steps == STEPS
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_poses_that_unpack_to_too_much_are_refused_and_a_short_text_takes_little_room(
+    tmp_path, refused, monkeypatch, packed
+):
+    pack = gzip.compress if packed else bytes
+    (tmp_path / "short.txt").write_bytes(pack(b"short"))
+    tracemalloc.start()
+    try:
+        assert read_text(tmp_path / "short.txt", "text") == "short"
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
+    monkeypatch.setattr("modsim3d.io.input_files.MAX_TEXT_BYTES", 100_000)
+    (tmp_path / "poses.json").write_bytes(pack(whole("json") + b" " * 100_000))
+    assert ("unpacks to more than" if packed else "has more than") in refused(scene_of(tmp_path, "poses.json"))
+
+
+@pytest.mark.parametrize("form", ["json", "jsonl"])
+def test_own_ship_missing_at_a_step_names_camera_vessel_and_time(tmp_path, refused, form):
+    (tmp_path / f"poses.{form}").write_bytes(whole(form, absent={(3, "own"), (4, "own"), (1, "other")}))
+    assert refused(scene_of(tmp_path, f"poses.{form}")) == "cameras.C0.mount.vessel: 'own' has no pose at time 3.0 s"
+
+
+MESHES = {
+    "NaN": ("hull.obj", lambda path: path.write_text(WEDGE.replace("v 0 2 0", "v nan 2 0")), "vertices that are NaN"),
+    "no mesh": ("hull.glb", lambda path: path.write_bytes(b"%PDF-1.7\n" * 40), "is not a GLB file"),
+    "cut off": ("hull.stl", lambda path: path.write_bytes(b"\0" * 80 + struct.pack("<I", 9) + b"\0" * 70), "hull.stl"),
+    "empty": ("hull.ply", lambda path: path.write_bytes(b""), "hull.ply"),
+}
+
+
+@pytest.mark.parametrize("whose", ["vessels.other", "obstacles.rock"])
+@pytest.mark.parametrize("fault", MESHES)
+def test_a_bad_mesh_is_told_with_whose_it_is_and_why(tmp_path, refused, whose, fault):
+    name, write, reason = MESHES[fault]
+    write(tmp_path / name)
+    (tmp_path / "poses.json").write_bytes(whole("json"))
+    path = scene_of(tmp_path, "poses.json")
+    data = json.loads(path.read_text())
+    if whose == "vessels.other":
+        data["vessels"]["other"]["mesh"] = name
+    else:
+        data["obstacles"] = {"rock": {"mesh": name, "size_m": [9, 9, 9], "position_m": [200, 30, 0]}}
+    path.write_text(json.dumps(data))
+    said = refused(path)
+    assert said.startswith(f"{whose}.mesh: ") and reason in said
+
+
+def test_angles_that_cameras_have_are_taken():
+    """Astern, straight down, as from a mast or a drone, on its side, and upside down."""
+    angles = {"yaw_rad": (3.141592653589793, -4.7), "pitch_rad": (1.5708,), "roll_rad": (-1.5708, 3.14159)}
+    for name, angle in ((name, angle) for name, values in angles.items() for angle in values):
+        assert getattr(PoseKeys.model_validate({"position_m": (0, 0, 9), name: angle}), name) == angle

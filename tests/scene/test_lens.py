@@ -1,4 +1,4 @@
-"""A camera by each form of its lens: boxes worked out by hand, copies that need no other file, and mistakes."""
+"""A camera by each form of its lens, and one that sees a circle of vessels (Jessen & Mohr (2023), Appendix B)."""
 
 import json
 import math
@@ -7,8 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from modsim3d import InputError, load_scene
+from modsim3d import InputError, camera_placement, load_scene
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import Mount, poses_ashore
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.scene import Scene
 from tests.scenes import write_scene
@@ -70,7 +74,7 @@ def box_of(scene: Scene) -> list[float]:
     return box
 
 
-def test_a_box_is_where_a_hand_calculation_has_it_by_each_form(tmp_path: Path) -> None:
+def test_a_box_is_where_a_hand_calculation_has_it_and_a_field_of_view_between_the_images_sides(tmp_path):
     """The near side is at 95 m, 2 m to either side, 5 m down at the water; the far edge of the top is at 105 m and 2 m
     down. OpenCV counts from the centre of the first pixel, so 310 is 310.5 pixels from the edge of the image."""
     view = {"hfov_deg": 2 * math.degrees(math.atan(0.4))}  # 320 / 800
@@ -85,9 +89,6 @@ def test_a_box_is_where_a_hand_calculation_has_it_by_each_form(tmp_path: Path) -
     ):
         by_hand = [x - fx * 2 / 95, y + fy * 2 / 105, x + fx * 2 / 95, y + fy * 5 / 95]
         np.testing.assert_allclose(box_of(scene_with(tmp_path, {**SIZE, **lens})), by_hand, atol=1e-3)
-
-
-def test_a_field_of_view_is_between_the_sides_of_the_image_also_off_the_middle(tmp_path: Path) -> None:
     for degrees in (5.0, 60.0, 90.0, 120.0):
         scene = scene_with(tmp_path, {**SIZE, "hfov_deg": degrees, "principal_point_px": [250, 240]})
         f, _ = scene.cameras[0].intrinsics.focal_px
@@ -95,9 +96,7 @@ def test_a_field_of_view_is_between_the_sides_of_the_image_also_off_the_middle(t
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_calibration_file_of_each_program_is_that_camera_and_its_copy_needs_no_file(
-    tmp_path: Path, name: str
-) -> None:
+def test_a_calibration_file_of_each_program_is_that_camera_and_its_copy_needs_no_file(tmp_path, name: str) -> None:
     """A point 100 m ahead, 20 m to starboard and 5 m down: x = 0.2, y = 0.05, r² = 0.0425."""
     file = tmp_path / ("solved.json" if name == "json" else "solved.yaml")
     file.write_text(FILES[name])
@@ -140,10 +139,7 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"hfov_deg": 60, "pixel_size_m": [1e-5, 1e-5]}, "cameras.bow.pixel_size_m: does not go with hfov_deg"),
     ({"K": K, "skew": 1}, "cameras.bow.skew: does not go with K: leave one of them out"),
     ({"hfov_deg": 60, "image_size_px": None}, "cameras.bow.image_size_px: missing"),
-    (
-        {"K": [list(row) for row in zip(*K, strict=True)]},
-        "is not upper triangular with the last row 0 0 1: the rows are",
-    ),
+    ({"K": [list(row) for row in zip(*K, strict=True)]}, "is not upper triangular with the last row 0 0 1: the rows"),
     ({"K": [*K[:2], [0, 0, 2]]}, "is not upper triangular with the last row 0 0 1"),
     ({"K": [[0, 0, 310], *K[1:]]}, "cameras.bow.K: has the focal lengths 0 and 790 px, which must be above 0"),
     ({"K": K, "image_size_px": [480, 640]}, "is in the middle of 640 × 480, not of 480 × 640: swap width and height"),
@@ -195,3 +191,52 @@ def test_a_calibration_that_is_no_such_camera_is_refused(tmp_path: Path, name, o
         scene_with(tmp_path, {"calibration": "solved.yaml", **beside})
     (problem,) = caught.value.problems
     assert said in problem and problem.startswith("cameras.bow.")
+
+
+LEGACY = {"focal_length_m": 0.05, "sensor_width_m": 0.036}
+LENS = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
+
+
+def columns(pose, centre=(1000, 1000), radius=500, intrinsics=LENS):
+    """Columns at which the border of the circle appears."""
+    around = np.linspace(0, 2 * np.pi, 7201)
+    border = np.stack([centre[0] + radius * np.cos(around), centre[1] + radius * np.sin(around), 0 * around], axis=-1)
+    return intrinsics.project(poses_ashore(Mount(**pose), 1).to_camera(border[None])[0])[:, 0]
+
+
+def test_sides_of_the_view_touch_the_circle_where_the_camera_is_low_or_cut_it():
+    seen = columns(camera_placement((1000, 1000), 500, height_m=1e-3, **LEGACY))
+    assert (seen.min(), seen.max()) == pytest.approx((0, 3600), abs=1e-2)
+    pose = camera_placement((1000, 1000), 500, height_m=20, whole=False, **LEGACY)
+    assert pose["position_m"] == pytest.approx([1000 + 500 / 0.36, 1000, 20])
+    seen = columns(pose)
+    assert seen.min() < -100 and seen.max() > 3700
+    assert 500 / math.tan(2 * 2 * math.atan(0.36)) < 100 < 500
+
+
+@given(
+    centre=st.tuples(st.floats(-5e3, 5e3), st.floats(-5e3, 5e3)),
+    radius=st.floats(5, 2000),
+    height=st.floats(0.5, 300),
+    view=st.floats(0.2, 2.5),
+)
+def test_whole_circle_is_seen_across_the_image_and_its_centre_in_the_middle(centre, radius, height, view):
+    lens = {"focal_length_m": 0.01, "sensor_width_m": 0.02 * math.tan(view / 2)}
+    focal_px = 1000 / math.tan(view / 2)
+    intrinsics = Intrinsics((focal_px, focal_px), (1000, 1000), (2000, 2000))
+    pose = camera_placement(centre, radius, height_m=height, **lens)
+    seen = columns(pose, centre, radius, intrinsics)
+    assert -1e-3 <= seen.min() <= seen.max() <= 2000 + 1e-3
+    middle = poses_ashore(Mount(**pose), 1).to_camera(np.array([[[*centre, 0.0]]]))[0, 0]
+    np.testing.assert_allclose(intrinsics.project(middle), (1000, 1000), atol=1e-3)
+
+
+def test_pitch_of_table_9_5_is_that_of_eq_b_3_and_wrong_lengths_are_named_together():
+    pose = camera_placement((1000, 1000), 520, height_m=20, whole=False, **LEGACY)
+    assert pose["position_m"][0] == pytest.approx(2444, abs=0.5)
+    assert math.atan(20 / pose["position_m"][0]) == pytest.approx(0.008, abs=5e-4)
+    assert pose["pitch_rad"] == pytest.approx(0.0138, abs=5e-5)
+    with pytest.raises(InputError) as wrong:
+        camera_placement((math.nan, 0), -5, height_m=0, **LEGACY)
+    lengths = tuple(f"{name} is not a length above 0" for name in ("radius_m: -5", "height_m: 0"))
+    assert wrong.value.problems == (*lengths, "centre_m: nan is not finite")

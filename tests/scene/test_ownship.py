@@ -45,10 +45,8 @@ def scene(tmp_path):
     """Own ship at rest in a calm sea."""
     still = {"own": {"center_position_m": [3.0, -2.0, 0.0], "heading_rad": 0.4}}
     (tmp_path / "poses.json").write_text(json.dumps(dict.fromkeys(generated_timestamps(STEPS, STEP_S), still)))
-    cameras = {
-        "C0": camera_keys(pose={"position_m": [0, 0, 10]}),
-        "bow": camera_keys(mount={"vessel": "own", "position_m": [7, 0, 3]}),
-    }
+    on_board = {"vessel": "own", "position_m": [7, 0, 3]}
+    cameras = {"C0": camera_keys(pose={"position_m": [0, 0, 10]}), "bow": camera_keys(mount=on_board)}
     keys = {"poses": {"file": "poses.json"}, "annotation": {"source": "analytic"}, "cameras": cameras}
     boats = {"own": ([14, 4, 3], []), "other": ([9, 3, 2], [])}
     return load_scene(write_scene(tmp_path, boats, STEPS, time_step_s=None, **keys))
@@ -64,16 +62,13 @@ def own_ship(scene):
     return own_ships_at(scene, 0, STEPS)
 
 
-def test_vessel_at_rest_in_a_calm_sea_measures_gravity_upwards(scene):
+def test_at_rest_gravity_is_measured_upwards_and_on_a_circle_the_force_to_its_centre(scene):
     own = own_ship(scene)
     np.testing.assert_allclose(own.forces_m_s2, np.broadcast_to(UP, (STEPS, 1, 3)), atol=1e-12)
     np.testing.assert_array_equal(own.rates_rad_s, 0)
     np.testing.assert_array_equal(own.positions_m[:, 0], np.tile([3.0, -2.0, 0.0], (STEPS, 1)))
     np.testing.assert_array_equal(own.measured_forces_m_s2, own.forces_m_s2)
-
-
-def test_on_a_circle_the_force_points_to_its_centre_and_yaw_turns_with_it(scene):
-    """v² / r to port when it turns to port, to starboard otherwise; r = ± v / radius."""
+    # v² / r to port when it turns to port, to starboard otherwise; r = ± v / radius.
     for rate in (0.2, -0.2):
         own, speed = own_ship(on_a_circle(scene, 40.0, rate)), abs(rate) * 40.0
         # Its heading is along its way, and not in its wave angles.
@@ -87,28 +82,7 @@ def test_on_a_circle_the_force_points_to_its_centre_and_yaw_turns_with_it(scene)
     np.testing.assert_allclose(own_ship(moved).forces_m_s2[5, 0, 1], 0.2**2 * 37.0, rtol=1e-4)
 
 
-def test_roll_is_a_rate_about_the_bow_of_the_other_sign(scene):
-    """Port down is left-handed about v1: p = −d roll / dt."""
-    amplitude, rate = 0.2, 1.3
-    own = own_ship(replace(scene, waves=Waves(Swinging(roll=amplitude))))
-    p = -amplitude * rate * np.cos(rate * TIMES_S)
-    np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, 0], p[1:-1], atol=1e-3 * rate * amplitude)
-    np.testing.assert_allclose(own.rates_rad_s[:, 0, 1:], 0, atol=1e-12)
-    roll = amplitude * np.sin(rate * TIMES_S)
-    # Up, in body axes, leans away from the port side that is down.
-    expected = GRAVITY_M_S2 * np.stack([0 * roll, -np.sin(roll), np.cos(roll)], axis=-1)
-    np.testing.assert_allclose(own.forces_m_s2[:, 0], expected, atol=1e-9)
-
-
-def test_pitch_and_yaw_are_right_handed_rates(scene):
-    expected = 0.1 * 1.3 * np.cos(1.3 * TIMES_S)
-    for name, axis in (("pitch", 1), ("yaw", 2)):
-        own = own_ship(replace(scene, waves=Waves(Swinging(**{name: 0.1}))))
-        np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, axis], expected[1:-1], atol=2e-4)
-        np.testing.assert_allclose(np.delete(own.rates_rad_s[:, 0], axis, axis=1), 0, atol=1e-12)
-
-
-def test_heave_and_a_mast_in_roll_are_felt(scene):
+def test_roll_pitch_yaw_heave_and_a_mast_are_felt_with_their_signs(scene):
     rate = 1.3
     sine, cosine = np.sin(rate * TIMES_S), np.cos(rate * TIMES_S)
     lifted = own_ship(replace(scene, waves=Waves(Swinging(heave=0.5))))
@@ -121,9 +95,24 @@ def test_heave_and_a_mast_in_roll_are_felt(scene):
     np.testing.assert_allclose(mast.forces_m_s2[1:-1, 0, 1], across[1:-1], atol=5e-3)
     inward = GRAVITY_M_S2 * np.cos(roll) - 10 * turned**2
     np.testing.assert_allclose(mast.forces_m_s2[1:-1, 0, 2], inward[1:-1], atol=5e-3)
+    # Port down is left-handed about v1: p = −d roll / dt.
+    amplitude, rate = 0.2, 1.3
+    own = own_ship(replace(scene, waves=Waves(Swinging(roll=amplitude))))
+    p = -amplitude * rate * np.cos(rate * TIMES_S)
+    np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, 0], p[1:-1], atol=1e-3 * rate * amplitude)
+    np.testing.assert_allclose(own.rates_rad_s[:, 0, 1:], 0, atol=1e-12)
+    roll = amplitude * np.sin(rate * TIMES_S)
+    # Up, in body axes, leans away from the port side that is down.
+    expected = GRAVITY_M_S2 * np.stack([0 * roll, -np.sin(roll), np.cos(roll)], axis=-1)
+    np.testing.assert_allclose(own.forces_m_s2[:, 0], expected, atol=1e-9)
+    expected = 0.1 * 1.3 * np.cos(1.3 * TIMES_S)
+    for name, axis in (("pitch", 1), ("yaw", 2)):
+        own = own_ship(replace(scene, waves=Waves(Swinging(**{name: 0.1}))))
+        np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, axis], expected[1:-1], atol=2e-4)
+        np.testing.assert_allclose(np.delete(own.rates_rad_s[:, 0], axis, axis=1), 0, atol=1e-12)
 
 
-def test_rates_carry_the_attitude_from_step_to_step(scene):
+def test_rates_carry_the_attitude_from_step_to_step_however_the_run_is_split(scene):
     """Integrated as a strapdown navigator would: R(t + h) = R(t) exp(ω h), with the mean of two rates."""
     rough = replace(on_a_circle(scene), waves=Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05)))
     rates = own_ship(rough).rates_rad_s[:, 0]
@@ -132,9 +121,6 @@ def test_rates_carry_the_attitude_from_step_to_step(scene):
     for step in range(1, STEPS - 2):
         turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)
     assert (turn.inv() * Rotation.from_matrix(attitude[STEPS - 2])).magnitude() < 2e-3
-
-
-def test_no_row_depends_on_how_the_run_is_split(scene):
     imu = Imu((1.0, 2.0, 3.0), *np.arange(1, 9) / 50)
     noisy = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=imu)
     whole = own_ship(noisy)
@@ -174,7 +160,7 @@ def test_errors_have_the_asked_spread_and_a_bias_stays(scene):
     np.testing.assert_allclose(Imu(attitude_noise_rad=3, attitude_bias_rad=4).attitude_std_rad, [5, 5, 0])
 
 
-def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfect_unit(tmp_path, scene):
+def test_a_table_from_before_is_read_and_a_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path, scene):
     run_scene(replace(scene, waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05))), tmp_path / "run")
     path = tmp_path / "run" / "ownship.parquet"
     table = pq.read_table(path)
@@ -186,6 +172,18 @@ def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfec
     assert again.column_names == table.column_names
     for name in table.column_names:
         assert again[name].equals(table[name]), name
+    path = write_scene(tmp_path, {"boat": ([9, 3, 2], [[0, 50, 0], [9, 60, 0]])}, 3)
+    data = json.loads(path.read_text())
+    for imu, said in (
+        ({"rate_noise_rad_s": 0.1}, "imu: no camera is mounted on a vessel"),
+        ({"rate_noise": 0.1}, "imu.rate_noise: unknown key"),
+        ({"rate_noise_rad_s": -1}, "imu.rate_noise_rad_s"),
+        ({"heading_noise_rad": -0.1}, "imu.heading_noise_rad"),
+        ({"attitude_rad": 0.1}, "imu.attitude_rad: unknown key"),
+    ):
+        path.write_text(json.dumps({**data, "imu": imu}))
+        with pytest.raises(InputError, match=said):
+            load_scene(path)
 
 
 def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp_path, scene):
@@ -206,7 +204,7 @@ def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp
     assert not (tmp_path / "ashore" / "ownship.parquet").exists()
 
 
-def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monkeypatch):
+def test_the_table_is_the_same_bytes_however_split_and_two_own_ships_take_turns(tmp_path, scene, monkeypatch):
     short = load_scene(tmp_path / "scene.yaml", steps=30)
     rough = replace(short, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
     written = []
@@ -215,9 +213,7 @@ def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monke
         run_scene(rough, tmp_path / str(steps))
         written.append((tmp_path / str(steps) / "ownship.parquet").read_bytes())
     assert written[0] == written[1] == written[2]
-
-
-def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):
+    monkeypatch.undo()
     ashore, bow = scene.cameras
     second = replace(bow, name="second", mount=replace(bow.mount, vessel="other"))
     annotation = replace(scene.annotation, allow_camera_inside=True)
@@ -226,18 +222,3 @@ def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):
     run_scene(both, tmp_path / "run")
     table = pq.read_table(tmp_path / "run" / "ownship.parquet")
     assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2 and table["step"].to_pylist()[:4] == [0, 0, 1, 1]
-
-
-def test_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path):
-    path = write_scene(tmp_path, {"boat": ([9, 3, 2], [[0, 50, 0], [9, 60, 0]])}, 3)
-    data = json.loads(path.read_text())
-    for imu, said in (
-        ({"rate_noise_rad_s": 0.1}, "imu: no camera is mounted on a vessel"),
-        ({"rate_noise": 0.1}, "imu.rate_noise: unknown key"),
-        ({"rate_noise_rad_s": -1}, "imu.rate_noise_rad_s"),
-        ({"heading_noise_rad": -0.1}, "imu.heading_noise_rad"),
-        ({"attitude_rad": 0.1}, "imu.attitude_rad: unknown key"),
-    ):
-        path.write_text(json.dumps({**data, "imu": imu}))
-        with pytest.raises(InputError, match=said):
-            load_scene(path)

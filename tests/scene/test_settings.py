@@ -41,12 +41,9 @@ def problems(scene: Path | str, **options: Any) -> tuple[str, ...]:
     return caught.value.problems
 
 
-def test_values_of_options_are_yaml() -> None:
+def test_values_of_options_are_yaml_leave_what_they_are_given_and_are_mappings():
     texts = ["a=large", "b.c=0.1", "d=[1, 2]", "e={f: true}", "g=", "h=x=y", "a=small"]
     assert read_settings(texts) == {"a": "small", "b.c": 0.1, "d": [1, 2], "e": {"f": True}, "g": None, "h": "x=y"}
-
-
-def test_a_setting_leaves_the_content_that_it_is_given_and_what_an_alias_repeats_as_they_are() -> None:
     for key in ("cameras.C0.skew", "annotation.mode", "seed", "cameras.C0.image_size_px.1"):
         content, setting = copy.deepcopy(GOOD["scene"]), Setting(key, 5)
         result, _ = changed(content, setting.parts, setting)
@@ -54,9 +51,11 @@ def test_a_setting_leaves_the_content_that_it_is_given_and_what_an_alias_repeats
     content = parse_yaml("cameras: {a: &lens {skew: 0}, b: *lens}", "here")
     setting = Setting("cameras.a.skew", 3)
     assert changed(content, setting.parts, setting)[0] == {"cameras": {"a": {"skew": 3}, "b": {"skew": 0}}}
+    with pytest.raises(TypeError, match=r"settings: a mapping of keys to values is needed \(got list\)"):
+        load_scene("strait", settings=["waves.level=large"])  # type: ignore[arg-type]
 
 
-def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(tmp_path: Path) -> None:
+def test_keys_of_scene_vessels_and_detector_can_be_set_and_every_wrong_one_is_told(tmp_path):
     inputs = inputs_in(tmp_path)
     cameras = inputs.data["scene"]["cameras"]
     cameras["shore.left"] = cameras.pop("shore")  # names may have dots
@@ -78,9 +77,6 @@ def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(tmp_path: Pat
     assert (camera.intrinsics.image_size_px, camera.intrinsics.principal_point_px) == ((600, 480), (300, 200))
     assert [vessel.length_m for vessel in loaded.vessels] == [8.0, 9.5]
     assert (detector.states[0].false_discovery_rate, detector.gates.max_range_m) == (0.3, 500)
-
-
-def test_a_key_replaces_the_keys_that_cannot_stand_beside_it(tmp_path: Path) -> None:
     assert load_scene("strait").copy.document["waves"]["spectrum"] == "jonswap"
     waves = load_scene("strait", settings={"waves.level": "large"}).copy.document["waves"]
     assert waves == {"level": "large", "apply_to": "all"}
@@ -91,16 +87,26 @@ def test_a_key_replaces_the_keys_that_cannot_stand_beside_it(tmp_path: Path) -> 
     confidence = {"detector.states.clear.confidence.mean": 0.6, "detector.states.clear.confidence.std": 0.1}
     found = load_scene(inputs.write(), settings=confidence).detector.states[0].confidence
     assert (found.true, found.false) == (NormalScores(0.6, 0.1), NormalScores(0.6, 0.1))
+    inputs.data["detector"]["confidence_threshold"] = 3
+    said = problems(inputs.write(), settings={"foo": 1, "detector.bar": 2, "seed": -1})
+    beginnings = ["--set foo", "--set detector.bar", "--set seed", "detector"]
+    assert [line.partition(":")[0].split(" /")[0] for line in said] == beginnings
+    inputs.data["detector"] = load_yaml(RICH, "detector")
+    for entry, label in zip(inputs.data["vessels"].values(), ("ferry", "sailboat"), strict=True):
+        entry["label"] = label
+    (problem,) = problems(inputs.write(), state="noon_clear", state_from="conditions")
+    assert problem.startswith("--state noon_clear --from conditions: this detector has the labels Vessel, and the ")
+    assert "ferry, sailboat" in problem and "modsim3d learn --from-condition" in problem
 
 
-def test_the_more_exact_key_counts_whatever_the_order(scene: Path) -> None:
+def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(scene):
     whole = {"detector": str(RICH), "vessels.vehicle1.label": "ferry", "vessels.vehicle2.label": "ferry"}
     loaded = load_scene(scene, settings={DETECTOR_RATE: 0.3, **whole})
     assert loaded.detector.labels == ("sailboat", "motorboat", "ferry")
     assert loaded.detector.states[0].false_discovery_rate == 0.3
-
-
-def test_a_wrong_setting_is_named_as_it_was_given(scene: Path) -> None:
+    (problem,) = problems(scene, settings={"detector.transition_matrix.0.1": 0.5})
+    assert "transition_matrix: column 'fog' sums to 1.3" in problem
+    assert problem.endswith("(after --set detector.transition_matrix.0.1)")
     for key, value, said in (
         ("detector.sates.clear.confusion", 1, "unknown key detector.sates (did you mean 'states'?)"),
         ("detector.states.haze.confusion", 1, "detector.states has no 'haze' (known: clear, fog)"),
@@ -121,25 +127,6 @@ def test_a_wrong_setting_is_named_as_it_was_given(scene: Path) -> None:
         assert problem.startswith(f"--set {key}: ") and said in problem, problem
 
 
-def test_settings_that_are_no_mapping_are_refused_by_name() -> None:
-    with pytest.raises(TypeError, match=r"settings: a mapping of keys to values is needed \(got list\)"):
-        load_scene("strait", settings=["waves.level=large"])  # type: ignore[arg-type]
-
-
-def test_a_problem_of_a_section_names_the_setting_inside_it(scene: Path) -> None:
-    (problem,) = problems(scene, settings={"detector.transition_matrix.0.1": 0.5})
-    assert "transition_matrix: column 'fog' sums to 1.3" in problem
-    assert problem.endswith("(after --set detector.transition_matrix.0.1)")
-
-
-def test_every_wrong_setting_is_told_beside_the_problems_of_the_files(tmp_path: Path) -> None:
-    inputs = inputs_in(tmp_path)
-    inputs.data["detector"]["confidence_threshold"] = 3
-    said = problems(inputs.write(), settings={"foo": 1, "detector.bar": 2, "seed": -1})
-    beginnings = ["--set foo", "--set detector.bar", "--set seed", "detector"]
-    assert [line.partition(":")[0].split(" /")[0] for line in said] == beginnings
-
-
 @pytest.mark.parametrize(
     ("key", "value", "works"),
     [
@@ -157,7 +144,7 @@ def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(key: st
     assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
 
 
-def test_a_state_is_forced_for_the_whole_scene_and_settings_of_others_are_refused(scene: Path) -> None:
+def test_a_state_is_forced_for_the_whole_scene_and_conditions_and_files_replace_the_detector(scene, tmp_path):
     loaded = load_scene(scene, state="fog")
     names = [state.name for state in loaded.detector.states]
     forced = loaded.detector.performance.forced(loaded.times_s(0, loaded.steps), [0] * loaded.steps)
@@ -166,9 +153,13 @@ def test_a_state_is_forced_for_the_whole_scene_and_settings_of_others_are_refuse
     key = "detector.states.clear.confidence.visibility_slope"
     (found,) = problems("strait", settings={key: 0.1}, state="haze")
     assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
-
-
-def test_a_condition_of_the_thesis_replaces_the_detector(scene: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    calm = tmp_path / "mine" / "calm.yaml"
+    calm.write_text(detector_text(GOOD["detector"]))
+    assert load_scene(scene, state="calm", state_from=tmp_path / "mine").detector.labels == ("Vessel",)
+    assert load_scene(scene, state="fog", state_from=calm).detector.performance.schedule == ((0.0, 1),)
+    with pytest.raises(InputError, match="there are none"):
+        load_scene(scene, state="calm", state_from=tmp_path / "nowhere")
     for name, file in conditions_in().items():
         assert load_scene(scene, state=name, state_from="conditions").copy.files["detector.yaml"] == file.resolve()
     with pytest.raises(InputError, match=r"there is no 'rain' \(known: afternoon_cloudy_rain, evening_cloudy_rain"):
@@ -177,27 +168,7 @@ def test_a_condition_of_the_thesis_replaces_the_detector(scene: Path) -> None:
         load_scene(scene, state_from="conditions")
 
 
-def test_a_state_can_be_taken_from_a_folder_or_a_file_of_ones_own(scene: Path, tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    calm = tmp_path / "mine" / "calm.yaml"
-    calm.write_text(detector_text(GOOD["detector"]))
-    assert load_scene(scene, state="calm", state_from=tmp_path / "mine").detector.labels == ("Vessel",)
-    assert load_scene(scene, state="fog", state_from=calm).detector.performance.schedule == ((0.0, 1),)
-    with pytest.raises(InputError, match="there are none"):
-        load_scene(scene, state="calm", state_from=tmp_path / "nowhere")
-
-
-def test_a_condition_with_other_labels_is_refused_once(tmp_path: Path) -> None:
-    inputs = inputs_in(tmp_path)
-    inputs.data["detector"] = load_yaml(RICH, "detector")
-    for entry, label in zip(inputs.data["vessels"].values(), ("ferry", "sailboat"), strict=True):
-        entry["label"] = label
-    (problem,) = problems(inputs.write(), state="noon_clear", state_from="conditions")
-    assert problem.startswith("--state noon_clear --from conditions: this detector has the labels Vessel, and the ")
-    assert "ferry, sailboat" in problem and "modsim3d learn --from-condition" in problem
-
-
-def test_the_copy_in_a_run_has_the_settings_and_gives_the_same_bytes(scene: Path, tmp_path: Path) -> None:
+def test_the_copy_in_a_run_has_the_settings_and_a_detector_file_without_any_byte_by_byte(scene, tmp_path):
     changes: dict[str, Any] = {"waves.level": "small", "vessels.vehicle1.beam_m": 3.5}
     changes |= {FOG_RATE: 0.25, "detector.persistence.box_s": 1e-06}
     loaded = load_scene(scene, source="analytic", settings=changes, state="fog")
@@ -208,9 +179,6 @@ def test_the_copy_in_a_run_has_the_settings_and_gives_the_same_bytes(scene: Path
     assert load_scene(open_run(tmp_path / "run").scene.path).sha256 == loaded.sha256
     assert repeat_run(read_finished(tmp_path / "run"), tmp_path / "again").same
     assert {frame.state for frame in open_run(tmp_path / "run").frames()} == {"fog"}
-
-
-def test_a_detector_file_is_copied_byte_by_byte_if_nothing_in_it_is_set(scene: Path, tmp_path: Path) -> None:
     load_scene(scene, settings={"waves.level": "small"}).copy.write(tmp_path / "copy")
     assert (tmp_path / "copy" / "detector.yaml").read_bytes() == (scene.parent / "detector.yaml").read_bytes()
     changed_detector = load_scene(scene, settings={DETECTOR_RATE: 0.25})  # an input all the same, which no run replaces
@@ -236,9 +204,10 @@ SCALARS = st.one_of(st.none(), st.booleans(), st.integers(-(10**9), 10**9), st.f
 KEYS = TEXTS.filter(bool)
 
 
-@given(
-    st.one_of(SCALARS, st.lists(st.lists(SCALARS, max_size=3)), st.dictionaries(KEYS, st.lists(SCALARS), max_size=3))
-)
+LISTS, MAPPINGS = st.lists(st.lists(SCALARS, max_size=3)), st.dictionaries(KEYS, st.lists(SCALARS), max_size=3)
+
+
+@given(st.one_of(SCALARS, LISTS, MAPPINGS))
 def test_a_written_detector_reads_as_it_was(value: Any) -> None:
     assert parse_yaml(detector_text({"value": value}), "here") == {"value": value}
 

@@ -95,7 +95,7 @@ def test_silhouettes_have_the_full_boxes_of_the_rendered_truth(scene, exported, 
     assert compared >= 2
 
 
-def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose(scene, exported):
+def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose_upright_in_glb_viewers(scene, exported):
     assert set(exported.graph.nodes_geometry) == set(scene.occluder_names)
     poses = scene.motion.at(np.array([STEP]))
     assert poses.poses.positions_m[0, :, 2].any()  # waves lift
@@ -113,6 +113,13 @@ def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose(scene, exported)
     camera, lens = exported.camera, scene.cameras[0].intrinsics
     assert (camera.name, tuple(camera.resolution)) == ("camera#bow", lens.image_size_px)
     np.testing.assert_allclose(np.diag(camera.K)[:2], lens.focal_px)
+    before, after = scene.at(STEP).to_trimesh(), scene.at(STEP).to_trimesh()
+    after.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    w1, w2, w3 = before.bounds.T
+    np.testing.assert_allclose(after.bounds.T, [w1, w3, -w2[::-1]], atol=1e-9)
+    for name in ("camera#quay", "ferry"):
+        w1, w2, w3 = before.graph[name][0][:3, 3]
+        np.testing.assert_allclose(after.graph[name][0][:3, 3], [w1, w3, -w2], atol=1e-9)
 
 
 def test_a_glb_file_keeps_names_poses_and_shapes(scene, exported, tmp_path):
@@ -128,16 +135,6 @@ def test_a_glb_file_keeps_names_poses_and_shapes(scene, exported, tmp_path):
             after = read.geometry[read.graph[name][1]]
             np.testing.assert_allclose(after.vertices, exported.geometry[geometry].vertices, rtol=1e-6, atol=1e-4)
             assert np.array_equal(after.faces, exported.geometry[geometry].faces)
-
-
-def test_a_turned_scene_is_upright_in_glb_viewers(scene):
-    before, after = scene.at(STEP).to_trimesh(), scene.at(STEP).to_trimesh()
-    after.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
-    w1, w2, w3 = before.bounds.T
-    np.testing.assert_allclose(after.bounds.T, [w1, w3, -w2[::-1]], atol=1e-9)
-    for name in ("camera#quay", "ferry"):
-        w1, w2, w3 = before.graph[name][0][:3, 3]
-        np.testing.assert_allclose(after.graph[name][0][:3, 3], [w1, w3, -w2], atol=1e-9)
 
 
 def test_an_absent_vessel_is_left_out_and_a_step_that_the_scene_does_not_have_is_refused(tmp_path):

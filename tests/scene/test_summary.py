@@ -34,9 +34,8 @@ def test_a_line_on_each_camera_is_what_a_drawing_has(tmp_path: Path) -> None:
         "pier": {**lens, "pose": {"position_m": [-50, -90, 8.04], "yaw_deg": 60, "pitch_deg": 30}},
     }
     own = (BOAT, [[0, 0, 0], [10, 0, 20]])  # heading along w2
-    lines, types, doubtful = facts(
-        tmp_path, {"own": own, "ship": ([80, 14, 20], [[0, 0, 300], [10, 5, 300]])}, cameras=cameras
-    )
+    vessels = {"own": own, "ship": ([80, 14, 20], [[0, 0, 300], [10, 5, 300]])}
+    lines, types, doubtful = facts(tmp_path, vessels, cameras=cameras)
     size = "1920 × 1080, 60.0° × 36.0°"
     assert lines == [
         f"bow: {size}, 12 m up, looks 10° to starboard and 3° down, horizon at row 453",
@@ -69,11 +68,7 @@ DOUBTS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         "vessel 'a' is 0.086 m long, and vessels are 1 to 500 m",
     ),
     "high": ({"a": ([86, 14, 2000], SLOWLY)}, {}, "vessel 'a' is 2000 m high, and vessels are 0.1 to 200 m high"),
-    "fast": (
-        {"a": (BOAT, [[0, 0, 0], [10, 400, 0]])},
-        {},
-        "vessel 'a' does 40 m/s, and 10 m long it can hardly do more",
-    ),
+    "fast": ({"a": (BOAT, [[0, 0, 0], [10, 400, 0]])}, {}, "vessel 'a' does 40 m/s, and 10 m long it can hardly do"),
     "ship": ({"a": ([300, 40, 50], [[0, 0, 0], [10, 250, 0]])}, {}, "vessel 'a' does 25 m/s, and 300 m long"),
     "island": (
         {"a": (BOAT, [[0, 0, 0], [10, 100, 0]])},

@@ -50,21 +50,6 @@ def test_every_sample_becomes_a_scene_that_loads_whatever_the_order_of_its_messa
     assert written(tmp_path / "shuffled", tmp_path / name) == files
 
 
-def test_old_and_2025_layout_of_the_same_traffic_give_the_same_scene(tmp_path):
-    old = written(tmp_path / "old", SAMPLES / "marinecadastre.csv")
-    assert old == written(tmp_path / "new", SAMPLES / "marinecadastre_2025.csv")
-
-
-def test_danish_files_and_sentences_of_the_same_traffic_agree_to_their_precision(tmp_path):
-    danish, nmea = (traffic_of(SAMPLES / name, origin=(56.03, 12.65)) for name in ("danish.csv", "receiver.nmea"))
-    for one, other in zip(danish.vessels, nmea.vessels, strict=True):
-        assert (one.hull, one.replaced) == (other.hull, other.replaced)
-        np.testing.assert_array_equal(one.steps, other.steps)
-        # Sentences hold 1/10000 of a minute, half of which is 0.09 m; Danish files hold 0.06 m.
-        np.testing.assert_allclose(one.places_m, other.places_m, atol=0.3)
-        np.testing.assert_allclose(one.headings_rad, other.headings_rad, atol=0.01)
-
-
 def test_several_files_packed_and_mixed_are_one_traffic(tmp_path):
     header, *lines = (SAMPLES / "danish.csv").read_text().splitlines(keepends=True)
     one, two = tmp_path / "one.csv", tmp_path / "two.data"
@@ -148,23 +133,17 @@ def test_missing_values_are_replaced_and_counted(tmp_path):
         np.testing.assert_allclose(vessel.places_m, whole.places_m, atol=10 if changed.get("speed") == 0.1 else 0.05)
 
 
-def test_dimensions_of_zero_and_those_that_no_ship_has_are_those_of_the_ship_type(tmp_path):
+def test_dimensions_are_the_latest_from_the_four_distances_or_those_of_the_ship_type(tmp_path):
     groups = {70: "cargo", 36: "sailing", "": "unknown", 1025: "tug", "60.0": "passenger"}
     for code, size in (*((code, (0, "")) for code in groups), (70, (1022, 126)), (70, (1e-9, 0.09))):
         hull = only(traffic_of(old_file(tmp_path, *steady(ship_type=code, length=size[0], beam=size[1])))).hull
         typical, defaults = ship_types()[groups[code]], set(hull.defaults)
         assert (hull.length_m, hull.beam_m, hull.air_draft_m) == (typical.length_m, typical.beam_m, typical.air_draft_m)
         assert {"length", "beam", "antenna"} <= defaults and ("type" in defaults) == (groups[code] == "unknown")
-
-
-def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
     rows = steady((20, {"length": 110, "ship_type": 80}), (21, {"length": 0, "ship_type": 0}))[:22]
     for order in (rows, rows[::-1]):
         hull = only(traffic_of(old_file(tmp_path, *order))).hull
         assert (hull.length_m, hull.beam_m, hull.group) == (110, 20, "tanker")
-
-
-def test_dimensions_come_from_the_four_distances():
     for dimensions, length, beam, antenna in (
         ((30, 70, 5, 15), 100, 20, True),
         ((0, 100, 0, 20), 100, 20, False),  # the size without the antenna's place
@@ -178,15 +157,16 @@ def test_dimensions_come_from_the_four_distances():
         assert found == ((length, beam), antenna, (-20, -5) if antenna else (0, 0)), dimensions
 
 
-def test_a_gap_is_absence(tmp_path):
+def test_gaps_are_absence_slow_vessels_lie_still_and_window_and_time_step_make_the_time_grid(tmp_path):
     rows = [text for place, text in enumerate(steady()) if not 5 < place < 20]
     vessel = only(traffic_of(old_file(tmp_path, *rows), max_gap_s=120))
     assert np.setdiff1d(np.arange(vessel.steps[-1]), vessel.steps).tolist() == list(range(51, 200))
     whole = traffic_of(old_file(tmp_path, *rows), max_gap_s=150)
     assert len(only(whole).steps) == len(whole.grid.times_s)
-
-
-def test_window_and_time_step_make_the_time_grid(tmp_path):
+    rows = [row(60 * k, speed=0.0, course=(77 * k) % 360, heading=511, length=3, beam=1) for k in range(5)]
+    vessel = only(traffic_of(old_file(tmp_path, *rows)))
+    assert np.ptp(vessel.steps) == len(vessel.steps) - 1 and np.ptp(vessel.headings_rad) == 0
+    assert np.ptp(vessel.places_m, axis=0).tolist() == [0, 0]
     path, start = old_file(tmp_path, *steady()), 1704362400.0
     traffic = traffic_of(path, start_s=start + 15, duration_s=1, time_step_s=0.2)
     assert traffic.grid.timestamps == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
@@ -195,27 +175,34 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
     assert only(traffic_of(path, start_s=start - 10, end_s=start + 10)).steps.tolist() == list(range(10, 21))
     whole = only(traffic_of(path, origin=traffic.origin))
     np.testing.assert_allclose(only(traffic).places_m[-1], whole.places_m[16], atol=1e-6)
-
-
-def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
     places = only(traffic_of(old_file(tmp_path, *steady()), origin=(56.0, 12.0))).places_m
     np.testing.assert_allclose(places[0], [0, 0], atol=1e-6)
     np.testing.assert_allclose(places[-1], [290 * 10 * 1852 / 3600, 0], atol=2)  # to the east
     np.testing.assert_allclose(places[-1], local_metres(np.array([56.0]), np.array([12.0239157]), (56, 12))[0], atol=5)
 
 
-def test_slow_and_small_vessels_are_kept_and_lie_still(tmp_path):
-    rows = [row(60 * k, speed=0.0, course=(77 * k) % 360, heading=511, length=3, beam=1) for k in range(5)]
-    vessel = only(traffic_of(old_file(tmp_path, *rows)))
-    assert np.ptp(vessel.steps) == len(vessel.steps) - 1 and np.ptp(vessel.headings_rad) == 0
-    assert np.ptp(vessel.places_m, axis=0).tolist() == [0, 0]
-
-
-def test_labels_by_type_come_with_a_detector_that_knows_them(tmp_path):
+def test_layouts_of_the_same_traffic_give_the_same_scene_with_labels_by_type(tmp_path):
     write_scene(traffic_of(SAMPLES / "danish.csv", labels_by_type=True, labels={"tug": "Workboat"}), tmp_path, THESIS)
     scene = load_scene(tmp_path / "scene.yaml")
     assert {vessel.label for vessel in scene.vessels} == set(scene.detector.labels)
     assert "Workboat" in scene.detector.labels and "Tanker" in scene.detector.labels
+    table = yaml.safe_load(TABLE.read_text())
+    codes = Counter(code for entry in table.values() for a, b in entry["codes"] for code in range(a, b + 1))
+    words = Counter(word for entry in table.values() for word in entry["words"])
+    assert max(codes.values()) == max(words.values()) == 1
+    assert set(range(20, 100)) - set(codes) == {38, 39}  # reserved
+    assert set(range(1001, 1026)) <= set(codes) and len({entry["label"] for entry in table.values()}) == len(table)
+    assert group_of("Cargo") == group_of("74") == group_of("70.0") == "cargo"
+    assert group_of("15") == group_of("something") == group_of("") == "unknown"
+    old = written(tmp_path / "old", SAMPLES / "marinecadastre.csv")
+    assert old == written(tmp_path / "new", SAMPLES / "marinecadastre_2025.csv")
+    danish, nmea = (traffic_of(SAMPLES / name, origin=(56.03, 12.65)) for name in ("danish.csv", "receiver.nmea"))
+    for one, other in zip(danish.vessels, nmea.vessels, strict=True):
+        assert (one.hull, one.replaced) == (other.hull, other.replaced)
+        np.testing.assert_array_equal(one.steps, other.steps)
+        # Sentences hold 1/10000 of a minute, half of which is 0.09 m; Danish files hold 0.06 m.
+        np.testing.assert_allclose(one.places_m, other.places_m, atol=0.3)
+        np.testing.assert_allclose(one.headings_rad, other.headings_rad, atol=0.01)
 
 
 @pytest.mark.parametrize("labels", [["Vessel"], ["A", "B"], [f"L{k}" for k in range(7)]])
@@ -256,17 +243,6 @@ def test_camera_is_clear_of_hulls_in_any_traffic(seed):
     half = rng.uniform(2, 200, number)
     camera = viewpoint(np.nonzero(present)[1], places[present], half)
     assert (np.linalg.norm(places - np.array(camera.position_m[:2]), axis=-1) > half + CLEARANCE_M - 1)[present].all()
-
-
-def test_table_of_ship_types_knows_every_code_once():
-    table = yaml.safe_load(TABLE.read_text())
-    codes = Counter(code for entry in table.values() for a, b in entry["codes"] for code in range(a, b + 1))
-    words = Counter(word for entry in table.values() for word in entry["words"])
-    assert max(codes.values()) == max(words.values()) == 1
-    assert set(range(20, 100)) - set(codes) == {38, 39}  # reserved
-    assert set(range(1001, 1026)) <= set(codes) and len({entry["label"] for entry in table.values()}) == len(table)
-    assert group_of("Cargo") == group_of("74") == group_of("70.0") == "cargo"
-    assert group_of("15") == group_of("something") == group_of("") == "unknown"
 
 
 def test_traffic_too_wide_for_a_plane_is_said(tmp_path):

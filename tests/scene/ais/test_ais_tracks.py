@@ -35,9 +35,24 @@ def test_local_metres_are_the_radii_of_curvature_times_angles_nearby(latitude, l
     assert abs(east - east_m) < tilted and abs(north - north_m) < tilted
 
 
-def test_origin_is_the_median_also_across_the_date_line():
+def test_origin_antenna_and_headings_have_the_signs_of_the_standard():
     latitude, longitude = median_place(np.array([52.0, 53.0, 54.0]), np.array([179.9, -179.9, 179.8]))
     assert latitude == 53.0 and abs(longitude) == pytest.approx(179.9)
+    # A = 30 before the antenna, B = 10 behind: the middle is ahead. C = 6 to port, D = 2: the middle is to port.
+    assert antenna_offset(30, 10, 6, 2) == (10, 2)
+    assert antenna_offset(0, 40, 0, 8) is None  # only the size is known
+    assert antenna_offset(0, 40, 4, 4) == (-20, 0)  # an antenna on the bow
+    same_direction(heading_rad(np.array([0, 90, 180, 270])), np.pi * np.array([0.5, 0, -0.5, 1]))
+    for reports, headings_deg, sources in (
+        (([10, 10], [45, 50], [NAN, 47]), [45, 47], [COURSE, REPORT]),  # the course of a vessel that moves
+        (([10] * 3, [NAN] * 3, [NAN] * 3, WAY), [90, 45, 0], [BEARING] * 3),  # between positions, without a course
+        (([0.1, 10, 0.1, 0, 0.2], [10, 200, 77, 300, 5], [NAN] * 5), [200] * 5, [HELD, COURSE] + [HELD] * 3),
+        (([10] * 4, [NAN] * 4, [NAN] * 4, *ACROSS_A_GAP), [90, 90, 0, 0], [BEARING] * 4),
+        (([0, 0], [NAN, NAN], [NAN, NAN]), [0, 0], [NOTHING] * 2),  # north, with nothing to go by
+    ):
+        filled, source = headings_of(*reports)
+        assert filled.tolist() == pytest.approx(headings_deg, abs=1e-9), reports
+        assert source.tolist() == sources, reports
 
 
 @pytest.mark.parametrize(("corners", "inside"), [((55, 12, 57, 13), 12.5), ((50, 179, 56, -179), 180.0)])
@@ -46,13 +61,6 @@ def test_region_holds_what_is_between_its_corners_in_any_order(corners, inside):
         longitudes = np.array([inside, inside - 10, inside + 10])
         assert region.holds(np.full(3, 55.5), longitudes).tolist() == [True, False, False]
         assert not region.holds(np.array([60.0]), np.array([inside])).any()
-
-
-def test_antenna_offset_has_the_signs_of_the_standard():
-    # A = 30 before the antenna, B = 10 behind: the middle is ahead. C = 6 to port, D = 2: the middle is to port.
-    assert antenna_offset(30, 10, 6, 2) == (10, 2)
-    assert antenna_offset(0, 40, 0, 8) is None  # only the size is known
-    assert antenna_offset(0, 40, 4, 4) == (-20, 0)  # an antenna on the bow
 
 
 @given(angles, metres, metres)
@@ -71,10 +79,6 @@ def tracks(draw):
 
 def same_direction(a, b):
     np.testing.assert_allclose(np.cos(a - b), 1, atol=1e-9)
-
-
-def test_headings_are_counter_clockwise_from_east():
-    same_direction(heading_rad(np.array([0, 90, 180, 270])), np.pi * np.array([0.5, 0, -0.5, 1]))
 
 
 @given(tracks())
@@ -98,7 +102,7 @@ def test_a_straight_track_at_constant_speed_stays_straight(start, east, north, k
     np.testing.assert_allclose(headings, 0.3)
 
 
-def test_a_turn_is_followed_where_speed_and_course_are_given():
+def test_a_turn_is_followed_where_speed_and_course_fit_the_way_and_a_long_gap_is_absence():
     # A circle of 500 m at 5 m/s, reported every 30 s (17°): the cubic errs by R θ⁴ / 384, the chord by R θ² / 8.
     radius, speed, every = 500.0, 5.0, 30.0
     theta, times, grid = speed * every / radius, np.arange(0, 301, every), np.arange(0, 300.25, 0.25)
@@ -114,16 +118,10 @@ def test_a_turn_is_followed_where_speed_and_course_are_given():
         for track in (ReportedTrack(times, radius * around(times), way, headings) for way in (turning, turning * NAN))
     )
     assert curved < 2 * radius * theta**4 / 384 and straight == pytest.approx(radius * theta**2 / 8, rel=0.02)
-
-
-def test_speed_and_course_that_do_not_fit_the_way_are_not_believed():
     times, places = np.array([0.0, 60.0]), np.array([[0.0, 0.0], [300.0, 0.0]])
     wrong = np.array([[0.0, 50.0], [0.0, 50.0]])
     _, found, _ = resample(ReportedTrack(times, places, wrong, np.zeros(2)), np.array([15.0, 30.0, 50.0]), 400)
     np.testing.assert_allclose(found, [[75, 0], [150, 0], [250, 0]])
-
-
-def test_a_gap_longer_than_the_limit_is_absence_and_no_glide():
     times = np.array([10.0, 20.0, 120.0, 130.0])
     track = ReportedTrack(times, np.zeros((4, 2)), np.full((4, 2), NAN), np.zeros(4))
     grid = np.arange(0, 141, 5.0)
@@ -144,26 +142,12 @@ def headings_of(speed, course, heading, places=None, times=None):
     number = len(speed)
     times = np.arange(number) * 10.0 if times is None else np.array(times)
     places = np.zeros((number, 2)) if places is None else np.array(places, dtype=float)
-    return vessel_track.fill_headings(
-        times, places, *(np.array(values, dtype=float) for values in (speed, course, heading)), 100
-    )
+    arrays = (np.array(values, dtype=float) for values in (speed, course, heading))
+    return vessel_track.fill_headings(times, places, *arrays, 100)
 
 
 REPORT, COURSE, BEARING, HELD, NOTHING = HeadingSource
 WAY, ACROSS_A_GAP = [[0, 0], [50, 0], [50, 50]], ([[0, 0], [50, 0], [0, 5000], [0, 5050]], [0, 10, 1000, 1010])
-
-
-def test_missing_headings_come_from_course_bearing_or_the_heading_before():
-    for reports, headings_deg, sources in (
-        (([10, 10], [45, 50], [NAN, 47]), [45, 47], [COURSE, REPORT]),  # the course of a vessel that moves
-        (([10] * 3, [NAN] * 3, [NAN] * 3, WAY), [90, 45, 0], [BEARING] * 3),  # between positions, without a course
-        (([0.1, 10, 0.1, 0, 0.2], [10, 200, 77, 300, 5], [NAN] * 5), [200] * 5, [HELD, COURSE] + [HELD] * 3),
-        (([10] * 4, [NAN] * 4, [NAN] * 4, *ACROSS_A_GAP), [90, 90, 0, 0], [BEARING] * 4),
-        (([0, 0], [NAN, NAN], [NAN, NAN]), [0, 0], [NOTHING] * 2),  # north, with nothing to go by
-    ):
-        filled, source = headings_of(*reports)
-        assert filled.tolist() == pytest.approx(headings_deg, abs=1e-9), reports
-        assert source.tolist() == sources, reports
 
 
 @given(st.integers(0, 19), st.floats(500, 1e5), st.floats(0, 2 * math.pi))
