@@ -214,12 +214,10 @@ def footprints(scene: Scene, steps: NDArray[np.int64]) -> NDArray[np.object_]:
     return rectangles(poses.positions_m[steps][..., :2], poses.headings_rad[steps], sizes)
 
 
-def write_scene(
-    folder: Path,
-    boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]],
-    steps: int | None,
-    **keys: object,
-) -> Path:
+Boats = Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]]
+
+
+def write_scene(folder: Path, boats: Boats, steps: int | None, **keys: object) -> Path:
     """A scene file: this module's camera, and boats as name → (length, beam and air draft; waypoints [time, w1, w2],
     none at all for a boat without a track); a step a second. `steps` is None where the poses say it. Keys of the scene
     come beside these or in their place; None leaves a key out."""

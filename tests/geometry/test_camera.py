@@ -8,15 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.geometry import camera_poses
 from modsim3d.geometry.camera import Camera, Distortion, Intrinsics, clip_triangles, guard_planes, near_plane
-from modsim3d.geometry.camera_poses import (
-    Mount,
-    camera_R_parent,
-    heading_of,
-    poses_ashore,
-    poses_on_board,
-    rotation,
-    rotation_vector,
-)
+from modsim3d.geometry.camera_poses import Mount, camera_R_parent, heading_of, poses_on_board, rotation, rotation_vector
 from modsim3d.geometry.kinematics import KNOT_M_S, NAUTICAL_MILE_M
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
@@ -24,10 +16,10 @@ SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)
 
 
 def image_of(point, mount, intrinsics=LEGACY):
-    return intrinsics.project(poses_ashore(mount, 1).to_camera(np.array([point], dtype=float)))[0]
+    return intrinsics.project(camera_poses.poses_ashore(mount, 1).to_camera(np.array([point], dtype=float)))[0]
 
 
-def test_what_is_not_said_of_a_camera_is_nothing_and_a_mile_has_1852_metres():
+def test_worked_examples_of_the_source_hold_and_what_is_not_said_of_a_camera_is_nothing():
     plain = Intrinsics((900.0, 900.0), (400.0, 300.0), (800, 600))
     assert (plain.skew, plain.near_clip_m, plain.distortion) == (0.0, 0.1, None)
     assert Camera("C0", plain, Mount((0, 0, 0))).start_offset_s == 0
@@ -37,9 +29,6 @@ def test_what_is_not_said_of_a_camera_is_nothing_and_a_mile_has_1852_metres():
     np.testing.assert_array_equal(poses_on_board(*board).camera_R_world, rigid)
     assert NAUTICAL_MILE_M == 1852
     assert pytest.approx(0.5144444) == KNOT_M_S
-
-
-def test_worked_examples_of_the_source_and_positive_roll_lowers_port():
     for mount, expected in (
         # Jessen & Mohr (2023), §7.4.2; a 20 cm shift moves the point 0.2 / 20 · 5000 = 50 px, not 5.
         (Mount((0, 0, 0)), (1800, 1200)),
@@ -79,9 +68,15 @@ def test_numbers_of_any_kind_are_computed_with_in_double_precision(kind):
             np.testing.assert_array_equal(found, compute(*(np.array(each, dtype=np.float64) for each in arrays)))
 
 
-def test_points_behind_the_camera_or_before_the_near_plane_have_no_image():
+def test_points_behind_the_camera_have_no_image_and_the_horizon_is_the_principal_row():
     points = [[0.1, 0.1, -5.0], [0.1, 0.1, 0.0], [0.1, 0.1, 0.0999], [0.1, 0.1, 0.1]]
     assert np.isnan(LEGACY.project(points)).all(axis=1).tolist() == [True, True, True, False]
+    level, down, up = (camera_R_parent(0, pitch_rad, 1.0) for pitch_rad in (0, np.pi / 2, -np.pi / 2))
+    np.testing.assert_allclose(SKEWED.sea_half_plane(level), [0, 1, -290], atol=1e-12)
+    np.testing.assert_allclose(LEGACY.sea_half_plane(down), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(LEGACY.sea_half_plane(up), [0, 0, -1], atol=1e-9)
+    exactly = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
+    np.testing.assert_array_equal(LEGACY.sea_half_plane(exactly), [0, 0, 1])
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), st.floats(-3, 3), st.floats(0.01, 1.5))
@@ -95,20 +90,11 @@ def test_points_far_away_on_the_sea_are_below_the_horizon_and_in_the_sky_above_i
             assert (a * x + b * y + c > 0) == (sign < 0)
 
 
-def test_horizon_is_the_principal_row_of_a_level_camera_and_none_of_one_that_looks_straight_up_or_down():
-    level, down, up = (camera_R_parent(0, pitch_rad, 1.0) for pitch_rad in (0, np.pi / 2, -np.pi / 2))
-    np.testing.assert_allclose(SKEWED.sea_half_plane(level), [0, 1, -290], atol=1e-12)
-    np.testing.assert_allclose(LEGACY.sea_half_plane(down), [0, 0, 1], atol=1e-9)
-    np.testing.assert_allclose(LEGACY.sea_half_plane(up), [0, 0, -1], atol=1e-9)
-    exactly = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
-    np.testing.assert_array_equal(LEGACY.sea_half_plane(exactly), [0, 0, 1])
-
-
 def area_vectors(triangles):
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
 
 
-def test_near_plane_leaves_what_is_beyond_or_touches_it_cuts_what_crosses_it_and_drops_the_rest():
+def test_the_near_plane_cuts_what_crosses_it_and_parts_of_triangles_make_up_the_whole_in_order():
     for depths in ((2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)):
         triangle = np.column_stack([[0.0, 0.1, 0.0], [0.0, 0.1, 0.1], depths])[None]
         np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY))[0], triangle)
@@ -116,9 +102,6 @@ def test_near_plane_leaves_what_is_beyond_or_touches_it_cuts_what_crosses_it_and
     clipped = clip_triangles(np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [0.0, 0.0, -2.0]]]), near_plane(LEGACY))[0]
     assert clipped[..., 2].min() == pytest.approx(0.1)
     assert np.linalg.norm(area_vectors(clipped), axis=1).sum() == pytest.approx(2.0 - 0.5 * 2.1 * 2.1 / 4)
-
-
-def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
     rng = np.random.default_rng(4)
     for triangle in rng.normal(size=(200, 1, 3, 3)):
         normal, whole = rng.normal(size=3), area_vectors(triangle)[0]
@@ -127,16 +110,10 @@ def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
         for side, part in zip((plane[0], -plane[0]), parts, strict=True):
             assert (part @ side[:3] - side[3] > -1e-12).all() and (area_vectors(part) @ whole > -1e-12).all()
         np.testing.assert_allclose(sum(area_vectors(part).sum(axis=0) for part in parts), whole, atol=1e-12)
-
-
-def test_parts_of_triangles_are_in_the_order_of_the_triangles():
     rng = np.random.default_rng(5)
     triangles = rng.normal(size=(30, 3, 3)) + 100 * np.arange(30)[:, None, None] * [1.0, 0.0, 0.0]
     parts = clip_triangles(triangles, np.array([[0.0, 0.3, 1.0, 0.1]]))[0]
     assert (np.diff(np.rint(parts[..., 0].mean(axis=1) / 100)) >= 0).all()
-
-
-def test_guard_planes_cut_at_the_guard_band():
     everything = np.array([[[-500.0, -300.0, 5.0], [600.0, -300.0, 5.0], [0.0, 700.0, 5.0]]])
     planes = np.concatenate([near_plane(SKEWED), guard_planes(SKEWED, 100.0)])
     shown = SKEWED.project(clip_triangles(everything, planes)[0])
@@ -168,14 +145,11 @@ def test_heading_of_recovers_the_sign_that_arccos_loses(heading):
     assert np.isclose(np.angle(np.exp(1j * (heading_of(direction) - heading))), 0, atol=1e-9)
 
 
-def test_attitude_broadcasts_over_steps():
+def test_attitude_broadcasts_in_double_precision_and_rotation_vectors_are_those_of_each():
     angle = np.linspace(-1, 1, 7)
     stacked = camera_poses.attitude(angle, 2 * angle, 3 * angle)
     each = [rotation(2, a) @ rotation(0, 2 * a) @ rotation(1, 3 * a) for a in angle]
     np.testing.assert_allclose(stacked, each, atol=1e-15)
-
-
-def test_angles_of_single_precision_are_turned_by_in_double_precision():
     angle = np.array([0.1, 0.7, -0.3], dtype=np.float32)
     for turn in (lambda a: rotation(2, a), camera_poses.vehicle_R_nominal, lambda a: rotation_vector(rotation(1, a))):
         assert turn(angle).dtype == np.float64
@@ -184,9 +158,6 @@ def test_angles_of_single_precision_are_turned_by_in_double_precision():
     assert heading_of(east) == heading_of(east.astype(np.float64))
     single = rotation(0, 0.4).astype(np.float32)
     np.testing.assert_array_equal(rotation_vector(single), rotation_vector(single.astype(np.float64)))
-
-
-def test_rotation_vectors_of_many_turns_up_to_half_a_turn_are_those_of_each():
     rng = np.random.default_rng(6)
     axes = np.concatenate([rng.normal(size=(60, 3)), [[0.3, -0.5, 0.8], [0.0, 0.0, -1.0]]])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -196,7 +167,6 @@ def test_rotation_vectors_of_many_turns_up_to_half_a_turn_are_those_of_each():
     found = rotation_vector(turns)
     np.testing.assert_allclose(found[:-2], vectors[:-2], atol=1e-9)
     # Half a turn is the same both ways.
-    np.testing.assert_allclose(
-        found[-2:] * np.sign((found * vectors)[-2:].sum(axis=1))[:, None], vectors[-2:], atol=3e-7
-    )
+    signs = np.sign((found * vectors)[-2:].sum(axis=1))[:, None]
+    np.testing.assert_allclose(found[-2:] * signs, vectors[-2:], atol=3e-7)
     np.testing.assert_array_equal(found, [rotation_vector(turn) for turn in turns])

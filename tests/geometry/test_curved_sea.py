@@ -17,10 +17,8 @@ from modsim3d.verify.sources.compare import compare_sources
 from tests.scenes import camera_keys, write_scene
 
 LONG_LENS = camera_keys(1800, 1200, focal_length_m=0.05, pose={"position_m": [0, 0, 20]})
-SHIPS = {
-    "near": ([40, 10, 12], [[0, 2000, 50], [10, 2000, 60]]),
-    "far": ([40, 10, 12], [[0, 5000, -100], [10, 5000, -90]]),
-}
+HULL_M = [40, 10, 12]
+SHIPS = {"near": (HULL_M, [[0, 2000, 50], [10, 2000, 60]]), "far": (HULL_M, [[0, 5000, -100], [10, 5000, -90]])}
 
 
 def far_scene(folder, steps=4, **keys):
@@ -28,7 +26,7 @@ def far_scene(folder, steps=4, **keys):
     return write_scene(folder, SHIPS, steps, **keys)
 
 
-def test_two_metres_of_drop_at_five_kilometres_wherever_the_camera_is_and_only_heights_are_lowered():
+def test_two_metres_of_drop_at_five_kilometres_and_the_shift_counts_by_the_larger_focal_length():
     # By hand: 5000² / (2 · 6 371 000) = 25 000 000 / 12 742 000 = 1.962 m
     place, camera = np.array([3000.0, 4000.0, 7.0]), np.array([0.0, 0.0, 20.0])
     assert drop_m(place, camera) == pytest.approx(1.962, abs=5e-4)
@@ -41,9 +39,6 @@ def test_two_metres_of_drop_at_five_kilometres_wherever_the_camera_is_and_only_h
     places, whole = np.array([[3000, 4000, 7], [0, 100, 0]]), np.array([0, 0, 20])  # whole numbers are places too
     lower = places - np.multiply.outer(drop_m(places, whole), [0, 0, 1])
     np.testing.assert_array_equal(lowered(places, whole), lower)
-
-
-def test_shift_counts_by_the_larger_focal_length_and_that_of_simulation_1_sees_the_curvature_beyond_2548_m():
     # By hand: 6000 · 12 742 / (2 · 6 371 000) = 6.
     for focal in ((6000.0, 900.0), (900.0, 6000.0)):
         assert shift_px(np.array([12_742.0]), focal) == pytest.approx([6.0])
@@ -54,7 +49,7 @@ def test_shift_counts_by_the_larger_focal_length_and_that_of_simulation_1_sees_t
     assert shift_px(np.array([2548.0, 2549.0, 1933.0]), focal) == pytest.approx([1.0, 1.0, 0.7585], abs=3e-4)
 
 
-def test_boxes_on_a_curved_sea_are_lower_by_what_the_formula_says(tmp_path):
+def test_boxes_on_a_curved_sea_are_lower_by_what_the_formula_says_and_sources_agree(tmp_path, renderer):
     flat, curved = (list(simulate_frames(load_scene(far_scene(tmp_path, sea=sea)))) for sea in ("flat", "curved"))
     for a, b in zip(flat, curved, strict=True):
         assert a.truth.vessels == b.truth.vessels == ("near", "far")
@@ -65,6 +60,10 @@ def test_boxes_on_a_curved_sea_are_lower_by_what_the_formula_says(tmp_path):
         expected = 5000 * distances**2 / (2 * RADIUS_M) / (np.array([2000.0, 5000.0]) - 5)
         np.testing.assert_allclose(moved[:, 3], expected, rtol=2e-3)
         assert expected[1] > 1.9
+    island = {"polygon_m": [[3000, -200], [3030, -200], [3010, 30]], "height_m": 9}
+    keys = {"sea": "curved", "obstacles": {"rock": island}, "annotation": {"mode": 2, "source": "rendered"}}
+    figures = compare_sources(load_scene(far_scene(tmp_path, **keys)), renderer).figures
+    assert (figures.vessel_frames, figures.unexplained) == (8, 0) and figures.occluded > 0
 
 
 def test_obstacles_are_lowered_by_their_centre_and_own_ship_is_not(tmp_path):
@@ -83,13 +82,6 @@ def test_obstacles_are_lowered_by_their_centre_and_own_ship_is_not(tmp_path):
     expected = drop_m(np.array([6000.0, 0.0]), before.camera_poses.positions_m)
     np.testing.assert_allclose(rock.positions_m[:, 0, 2], -expected)
     assert np.all(rock.positions_m[:, 0, :2] == 0)
-
-
-def test_sources_agree_on_a_curved_sea(tmp_path, renderer):
-    island = {"polygon_m": [[3000, -200], [3030, -200], [3010, 30]], "height_m": 9}
-    keys = {"sea": "curved", "obstacles": {"rock": island}, "annotation": {"mode": 2, "source": "rendered"}}
-    figures = compare_sources(load_scene(far_scene(tmp_path, **keys)), renderer).figures
-    assert (figures.vessel_frames, figures.unexplained) == (8, 0) and figures.occluded > 0
 
 
 def test_run_warns_once_with_how_many_and_how_far(call, tmp_path, monkeypatch):

@@ -9,17 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.hull_distances import TOLERANCE_M, Rectangles, least_hull_distance, rectangle_distances
+from modsim3d.geometry import kinematics
 from modsim3d.geometry.camera_poses import rotation
-from modsim3d.geometry.kinematics import (
-    HullTracks,
-    closest_approach,
-    first_derivative,
-    second_derivative,
-    slopes,
-    turning,
-    union_of,
-    velocities,
-)
+from modsim3d.geometry.kinematics import closest_approach, first_derivative, slopes, turning, union_of
 from tests.scenes import rectangles
 
 TIMES = st.lists(st.floats(0.05, 2.0), min_size=2, max_size=12).map(lambda gaps: np.cumsum([3.0, *gaps]))
@@ -32,27 +24,38 @@ def test_parabola_has_its_own_derivatives_whatever_the_intervals(times, a, b, c)
     values = a + b * times + c * times**2
     between = slopes(times, values)
     np.testing.assert_allclose(first_derivative(times, between)[1:-1], (b + 2 * c * times)[1:-1], atol=1e-7)
-    np.testing.assert_allclose(second_derivative(times, between), 2 * c, atol=1e-6)
+    np.testing.assert_allclose(kinematics.second_derivative(times, between), 2 * c, atol=1e-6)
 
 
-def test_ends_take_the_only_slope_they_have_and_one_or_two_times_have_no_acceleration():
+def test_ends_take_the_only_slope_they_have_and_distances_are_those_of_polygons():
     times = np.array([0.0, 1.0, 3.0])
     np.testing.assert_allclose(first_derivative(times, slopes(times, np.array([0.0, 2.0, 10.0])))[[0, 2]], [2, 4])
     for times in (np.array([1.0]), np.array([1.0, 2.0])):
         between = slopes(times, 5 * times)
-        np.testing.assert_array_equal(second_derivative(times, between), np.zeros(len(times)))
+        np.testing.assert_array_equal(kinematics.second_derivative(times, between), np.zeros(len(times)))
         np.testing.assert_array_equal(first_derivative(times, between), [0.0] if len(times) == 1 else [5.0, 5.0])
-
-
-def test_velocities_of_vessels_that_come_and_go_ignore_where_they_are_not():
     times = np.arange(6.0)
     present = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 1, 0], [1, 0, 0], [1, 0, 0]], dtype=bool)
     positions = np.where(present[..., None], (100 + 3 * times)[:, None, None], 0.0) * np.ones(3)
-    found = velocities(times, positions, present)
+    found = kinematics.velocities(times, positions, present)
     np.testing.assert_allclose(found[:, 0], 3)
     np.testing.assert_allclose(found[1:4, 1], 3)
     np.testing.assert_array_equal(found[~present], 0)
     np.testing.assert_array_equal(found[:, 2], 0)  # there at one step only
+    rng, n = np.random.default_rng(1), 2000
+    drawn = ((rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2))) for _ in range(2))
+    ones, others = (Rectangles(*each) for each in drawn)
+    hulls = [rectangles(each.centres_m, each.headings_rad, 2 * each.half_sizes_m) for each in (ones, others)]
+    found = rectangle_distances(ones, others)
+    np.testing.assert_allclose(found, shapely.distance(*hulls), atol=1e-9)
+    assert 0.2 < np.mean(found == 0) < 0.9  # both cases are there
+    # Two boats of 10 m that pass head-on 4 m apart with beams of 5 m, a step before and a step after.
+    centres = np.array([[[-50.0, 0.0], [50.0, 4.0]], [[50.0, 0.0], [-50.0, 4.0]]])
+    places = np.array([0.0, 10.0]), centres, np.array([[0.0, np.pi], [0.0, -np.pi]])
+    wide, narrow = (kinematics.HullTracks(*places, np.full((2, 2), [5.0, half])) for half in (2.5, 1.5))
+    distance, when = least_hull_distance(wide, 0, 1)
+    assert distance == 0 and 4.0 < when < 6.0
+    assert least_hull_distance(narrow, 0, 1)[0] == pytest.approx(1.0, abs=TOLERANCE_M)
 
 
 @given(TIMES, st.integers(0, 2), st.floats(-1.0, 1.0))
@@ -69,7 +72,7 @@ SLIVERS = Path(__file__).with_name("slivers.npy")
 STEP_PX = 0.5
 
 
-def test_slivers_have_a_union_and_ordinary_triangles_are_united_without_a_grid() -> None:
+def test_slivers_have_a_union_and_vessels_are_nearest_where_their_relative_track_is():
     triangles = np.load(SLIVERS)
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     x, y = (np.stack(np.meshgrid(*map(np.arange, low, high, [STEP_PX] * 2)))).reshape(2, -1)
@@ -80,17 +83,11 @@ def test_slivers_have_a_union_and_ordinary_triangles_are_united_without_a_grid()
     assert (shapely.contains_xy(union, x, y) == covered).mean() > 0.999
     ordinary = shapely.polygons([[(0, 0), (1 / 3, 0), (0, 1 / 7)], [(0, 0), (1 / 3, 0), (1 / 3, 1 / 7)]])
     assert union_of(ordinary).wkb == shapely.union_all(ordinary).wkb
-
-
-def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_track_is() -> None:
-    """One goes east with 10 m/s from the origin, the other north with 10 m/s from (1000, −1100)."""
+    # One goes east with 10 m/s from the origin, the other north with 10 m/s from (1000, −1100).
     times = np.array([0.0, 40.0, 200.0])
     one, other = np.outer(times, [10.0, 0.0]), np.array([1000.0, -1100.0]) + np.outer(times, [0.0, 10.0])
     distance, when = closest_approach(times, one, other)
     assert (distance, when) == pytest.approx((100 / np.sqrt(2), 105.0))
-
-
-def test_only_times_count_at_which_both_are_there() -> None:
     times, still = np.arange(4.0), np.zeros((4, 2))
     for there, expected in (
         ([1, 1, 0, 0], (30.0, 1.0)),
@@ -120,27 +117,6 @@ def test_closest_approach_is_that_of_a_densely_sampled_track(seed: int) -> None:
     assert abs(np.hypot(*(np.interp(when, times, (other - one)[:, axis]) for axis in (0, 1))) - distance) < 1e-9
 
 
-def test_distances_of_rectangles_are_those_of_polygons() -> None:
-    rng, n = np.random.default_rng(1), 2000
-    ones, others = (
-        Rectangles(rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2))) for _ in range(2)
-    )
-    hulls = [rectangles(each.centres_m, each.headings_rad, 2 * each.half_sizes_m) for each in (ones, others)]
-    found = rectangle_distances(ones, others)
-    np.testing.assert_allclose(found, shapely.distance(*hulls), atol=1e-9)
-    assert 0.2 < np.mean(found == 0) < 0.9  # both cases are there
-
-
-def test_hulls_that_meet_between_two_steps_touch() -> None:
-    """Two boats of 10 m that pass head-on 4 m apart with beams of 5 m, a step before and a step after."""
-    centres = np.array([[[-50.0, 0.0], [50.0, 4.0]], [[50.0, 0.0], [-50.0, 4.0]]])
-    places = np.array([0.0, 10.0]), centres, np.array([[0.0, np.pi], [0.0, -np.pi]])
-    wide, narrow = (HullTracks(*places, np.full((2, 2), [5.0, half])) for half in (2.5, 1.5))
-    distance, when = least_hull_distance(wide, 0, 1)
-    assert distance == 0 and 4.0 < when < 6.0
-    assert least_hull_distance(narrow, 0, 1)[0] == pytest.approx(1.0, abs=TOLERANCE_M)
-
-
 def test_least_hull_distance_is_that_of_dense_sampling() -> None:
     rng, times = np.random.default_rng(2), np.arange(0.0, 6.0)
     for _ in range(40):
@@ -150,7 +126,7 @@ def test_least_hull_distance_is_that_of_dense_sampling() -> None:
         halves = rng.uniform(1, 12, (2, 2))
         missing = rng.random((6, 2)) < 0.1
         wrapped[missing], centres[missing] = np.nan, np.nan
-        found, when = least_hull_distance(HullTracks(times, centres, wrapped, halves), 0, 1)
+        found, when = least_hull_distance(kinematics.HullTracks(times, centres, wrapped, halves), 0, 1)
         dense = np.linspace(0, 5, 1001)
         place = [[np.interp(dense, times, centres[:, i, axis]) for axis in (0, 1)] for i in (0, 1)]
         for i in (0, 1):  # no interpolation from or to a time at which one is absent

@@ -18,34 +18,13 @@ from modsim3d.truth.buffer_drawing import subdivided
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from tests.scenes import (
-    CAMERA_HEIGHT_M,
-    INTRINSICS,
-    camera_keys,
-    crate,
-    outlines_of,
-    pixel_masks,
-    random_scene,
-    vessel,
-    write_scene,
-)
+from tests import scenes
+from tests.scenes import INTRINSICS, camera_keys, crate, outlines_of, pixel_masks, random_scene, vessel, write_scene
 
 BARREL = Distortion(k1=-0.21, k2=0.07, p1=0.0013, p2=-0.0021, k3=-0.011)
 PINCUSHION = Distortion(k1=0.15, k2=0.03, p1=-0.001, p2=0.002)
 coefficient = st.floats(-0.05, 0.05)
 BOTH = pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
-
-
-def test_projection_is_that_of_opencv():
-    lens = Intrinsics((1000.0, 1100.0), (640.0, 360.0), (1280, 720), distortion=BARREL)
-    points = [[0.5, -0.3, 1.0], [-1.2, 0.7, 2.5], [3.0, 2.0, 9.0], [0.0, 0.0, 4.0]]
-    # cv2.projectPoints of OpenCV 5.0.0 with these coefficients in its order k1, k2, p1, p2, k3.
-    expected = [
-        *([1105.975828, 52.47091352], [186.1129068891, 651.2696940795]),
-        *([962.0735224293, 596.6639164481], [640, 360]),
-    ]
-    np.testing.assert_allclose(lens.project(points), expected, rtol=0, atol=1e-6)
-    assert Distortion() == Distortion(0.0, 0.0, 0.0, 0.0, 0.0)  # what is not given distorts nothing
 
 
 @given(st.tuples(*[coefficient] * 5), st.tuples(*[st.floats(-0.8, 0.8)] * 2))
@@ -84,7 +63,7 @@ def test_only_points_that_no_direction_is_seen_at_have_none(axis, sign):
     assert missing.all(axis=1).tolist() == missing.any(axis=1).tolist() == [False, True, False, True, False]
 
 
-def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond():
+def test_projection_is_that_of_opencv_one_to_one_up_to_its_fold():
     lens = Distortion(k1=-1.0)  # r − r³ rises up to r = 1 / √3 = 0.5774
     for direction in ((1.0, 0.0), (0.0, -1.0), (0.6, 0.8), (-0.8, 0.6), (np.sqrt(0.5), np.sqrt(0.5))):
         inside, outside = np.outer([0.3, 0.577], direction), np.outer([0.3, 0.580], direction)
@@ -95,14 +74,20 @@ def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond():
     lens = Distortion(k1=-0.9, k2=0.35)  # its radius falls from r = 0.79 to 0.96, and rises again
     assert lens.one_to_one(np.array([[0.78, 0.0]])) and not lens.one_to_one(np.array([[1.1, 0.0]]))
     assert (np.linalg.det(lens.jacobian(np.array([[1.1, 0.0]]))) > 0).all()
-
-
-def test_jacobian_is_the_derivative():
     points, step = np.random.default_rng(0).uniform(-0.7, 0.7, (50, 2)), 1e-6
     for axis in range(2):
         shift = step * np.eye(2)[axis]
         slope = (BARREL.distort(points + shift) - BARREL.distort(points - shift)) / (2 * step)
         np.testing.assert_allclose(BARREL.jacobian(points)[..., axis], slope, atol=1e-8)
+    lens = Intrinsics((1000.0, 1100.0), (640.0, 360.0), (1280, 720), distortion=BARREL)
+    points = [[0.5, -0.3, 1.0], [-1.2, 0.7, 2.5], [3.0, 2.0, 9.0], [0.0, 0.0, 4.0]]
+    # cv2.projectPoints of OpenCV 5.0.0 with these coefficients in its order k1, k2, p1, p2, k3.
+    expected = [
+        *([1105.975828, 52.47091352], [186.1129068891, 651.2696940795]),
+        *([962.0735224293, 596.6639164481], [640, 360]),
+    ]
+    np.testing.assert_allclose(lens.project(points), expected, rtol=0, atol=1e-6)
+    assert Distortion() == Distortion(0.0, 0.0, 0.0, 0.0, 0.0)  # what is not given distorts nothing
 
 
 @BOTH
@@ -193,7 +178,7 @@ def test_each_pixel_shows_what_lies_in_its_direction(renderer):
     assert seen > 10_000
 
 
-def test_edge_that_the_lens_bends_reaches_beyond_its_corners_and_an_obstacles_box_is_around_what_is_seen(renderer):
+def test_an_edge_that_the_lens_bends_reaches_beyond_its_corners_and_subdivision_keeps_the_area(renderer):
     """Of the last nothing is in the image, though it is not as a whole beyond any of its sides."""
     camera, wall, half = replace(INTRINSICS, distortion=BARREL), ((2, 140, 60), (200, 0)), ((1, 40, 10), (50, 20))
     boxes = (*wall, 0), ((20, 8, 6), (90, 30), 0.5), (*half, 0), ((266, 2, 6), (-90, -15), 0.598)
@@ -204,9 +189,6 @@ def test_edge_that_the_lens_bends_reaches_beyond_its_corners_and_an_obstacles_bo
     around = outlines_of([], camera, obstacles=[crate(*each) for each in boxes]).boxes_px
     assert (outlines.in_frame_fraction[:2] == 1).all() and 0.3 < outlines.in_frame_fraction[2] < 0.9
     assert len(around) == len(exact) == 3 and (np.abs(around - exact - (-5, -5, 5, 5)) < 5 + 1e-6).all()
-
-
-def test_subdivision_keeps_the_area_and_makes_edges_short():
     triangles = np.random.default_rng(3).uniform([-3, -3, 5], [3, 3, 9], (20, 3, 3))
     small, _ = subdivided(triangles, INTRINSICS, 20.0)
     pixels = INTRINSICS.project(small)
@@ -218,7 +200,7 @@ def test_subdivision_keeps_the_area_and_makes_edges_short():
 
 def lens_scene(folder, **distortion):
     boats = {"a": ([10, 4, 3], [[0, 100, -20], [10, 100, 20]]), "b": ([10, 4, 6], [[0, 150, 30], [10, 150, -20]])}
-    camera = camera_keys(pose={"position_m": [0, 0, CAMERA_HEIGHT_M]}, distortion=distortion)
+    camera = camera_keys(pose={"position_m": [0, 0, scenes.CAMERA_HEIGHT_M]}, distortion=distortion)
     return write_scene(folder, boats, 5, cameras={"C0": camera})
 
 

@@ -31,7 +31,7 @@ def plain(monkeypatch):
     return monkeypatch
 
 
-def test_backend_is_the_one_asked_for_or_the_first_whose_library_is_there(plain):
+def test_the_backend_is_the_one_asked_for_or_the_first_whose_library_is_found(plain):
     there = {"osmesa", "egl"}
     plain.setattr(context, "library_found", lambda backend: backend in there)
     assert context.choose_backend() == "osmesa"
@@ -45,9 +45,7 @@ def test_backend_is_the_one_asked_for_or_the_first_whose_library_is_there(plain)
     assert "(OSMesa or EGL)" in said_by(context.choose_backend)
     plain.setenv("MODSIM3D_GL", "glx")
     assert said_by(context.choose_backend) == "MODSIM3D_GL='glx': use one of osmesa, egl, auto"
-
-
-def test_library_is_looked_for_by_its_names_and_then_by_the_system(plain):
+    plain.undo()
     loads: set[str] = set()
 
     def load(name):
@@ -126,7 +124,7 @@ def test_egl_gives_a_context_of_the_first_card_with_the_config_it_chose_and_take
     assert (released, last[-1], destroyed, which) == ("eglMakeCurrent", 14, "eglDestroyContext", (71, opened))
 
 
-def test_variables_with_which_mesa_ends_the_process_are_refused(plain):
+def test_variables_with_which_mesa_ends_the_process_are_refused_and_named_in_a_failure(plain):
     for name, value, backend, said in (
         ("GALLIUM_DRIVER", "softpipe", "osmesa", "OSMesa has llvmpipe only"),
         ("GALLIUM_DRIVER", "softpipe", "egl", ""),
@@ -143,8 +141,6 @@ def test_variables_with_which_mesa_ends_the_process_are_refused(plain):
             else:
                 context._refuse_crashes(backend)
 
-
-def test_failure_names_the_variables_that_mesa_obeys(plain):
     def fail(*_):
         raise OSError("no such library")
 
@@ -159,19 +155,9 @@ def test_failure_names_the_variables_that_mesa_obeys(plain):
     assert said_by(context.open_context().__enter__).endswith(f"no such library{hint}")
 
 
-def test_description_has_the_backend_the_renderer_and_the_version(renderer):
+def test_the_description_has_backend_and_version_and_what_is_too_large_is_an_error(renderer):
     name, version = re.fullmatch(r"(?:osmesa|egl): (.+), OpenGL (4\.[5-9].*)", renderer.context.description).groups()
     assert not name.startswith("4.") and name != version
-
-
-class _NoFramebuffer:
-    """OpenGL that cannot draw into a buffer."""
-
-    def __getattr__(self, name):
-        return name if name.startswith("GL_") else lambda *_: (name, name)
-
-
-def test_what_is_too_large_or_of_another_format_is_an_error_and_the_largest_is_drawn(renderer):
     corners, size = np.array([[[0.0, 0.0], [0.0, 9.0], [9e4, 0.0]]]), (MAX_REGION_PX, 3)
     assert renderer.draw(corners, np.ones((1, 3)), np.ones(1, int), Region(0, 0, *size)).sum() == 3 * MAX_REGION_PX
     for region in (Region(0, 0, size[0] + 1, 3), Region(0, 0, 3, size[0] + 1)):
@@ -183,3 +169,10 @@ def test_what_is_too_large_or_of_another_format_is_an_error_and_the_largest_is_d
     assert said.startswith(f"a picture of 3 × {size[0] + 1} px is too large: at most {size[0]} px a side")
     said = said_by(context.make_framebuffer, _NoFramebuffer(), (64, 32), 7, "a picture")
     assert said == "the renderer cannot draw a picture of 64 × 32 px with float depth"
+
+
+class _NoFramebuffer:
+    """OpenGL that cannot draw into a buffer."""
+
+    def __getattr__(self, name):
+        return name if name.startswith("GL_") else lambda *_: (name, name)

@@ -17,9 +17,11 @@ print("OpenGL.GL" in sys.modules)
 """
 
 
-def test_functions_of_opengl_are_loaded_at_the_first_drawing_but_at_once_for_single_steps() -> None:
+def test_opengl_is_loaded_at_the_first_drawing_and_a_library_missing_beside_egl_told_at_once():
     said = subprocess.check_output([sys.executable, "-c", DRAWS_NOTHING], text=True, timeout=60)
     assert said.split() == ["True", "False", "True"]
+    said = subprocess.check_output([sys.executable, "-c", WITHOUT_LIBRARY], text=True, timeout=60)
+    assert "libopengl0" in said
 
 
 WITHOUT_LIBRARY = """
@@ -35,8 +37,3 @@ try:
 except RendererError as error:
     print(error)
 """
-
-
-def test_library_of_opengl_that_is_missing_beside_egl_is_told_at_once() -> None:
-    said = subprocess.check_output([sys.executable, "-c", WITHOUT_LIBRARY], text=True, timeout=60)
-    assert "libopengl0" in said

@@ -1,6 +1,7 @@
-"""Solids cut at the near plane, what needs no clipping, and triangles whose edges are halved."""
+"""Solids cut at the near plane, halved triangles, and pixels of closed solids from their outlines' edges."""
 
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -9,11 +10,13 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from modsim3d.geometry.camera import clip_triangles, guard_planes, near_plane
+from modsim3d.render.id_pass import Region
 from modsim3d.truth import outlines as outlines_module
 from modsim3d.truth.buffer_drawing import subdivided, triangles_of, within_guard
-from modsim3d.truth.scan_conversion import _on_grid
-from modsim3d.truth.silhouettes import cut_faces, cut_near, doubled_areas
-from modsim3d.world.vessels import shoebox
+from modsim3d.truth.scan_conversion import _on_grid, scan_convert
+from modsim3d.truth.silhouettes import _Edges, cut_faces, cut_near, edges_of, spans_of_ids, winding_spans
+from modsim3d.world.mesh_reading import load_mesh
+from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 LENS = replace(INTRINSICS, near_clip_m=2.0)
@@ -56,7 +59,7 @@ def test_section_closes_what_the_plane_cuts_open(convex):
     assert sides >= {3, 4, 5, 6}
 
 
-def test_section_leaves_holes_open_and_surfaces_without_an_inside_and_solids_beyond_the_plane_get_none():
+def test_sections_leave_holes_open_and_without_a_corner_of_the_image_add_nothing_to_a_box():
     outer, inner = ((shoebox().vertices - [0, 0, 0.5]) * size + [0, 0, 2.0] for size in ([6, 6, 4], [2, 3, 5]))
     fan = cut_alone(outer[shoebox().faces], shoebox())[-6:]  # corners on a side of the square share a coordinate
     assert shapely.area(shapely.polygons(fan[..., :2])).sum() == pytest.approx(6 * 6)
@@ -68,10 +71,7 @@ def test_section_leaves_holes_open_and_surfaces_without_an_inside_and_solids_bey
     beyond = shoebox().vertices[shoebox().faces] + [0, 0, 5.0]
     for convex in (True, False):
         np.testing.assert_array_equal(cut_alone(beyond, replace(shoebox(), convex=convex)), beyond)
-
-
-def test_sections_without_a_corner_of_the_image_add_nothing_to_the_box_of_what_is_in_it():
-    """Also of tubes, of which the plane leaves a ring around the image or a part of it."""
+    # Also of tubes, of which the plane leaves a ring around the image or a part of it.
     rng, planes = np.random.default_rng(4), guard_planes(LENS, 0.0)
     left_open = []
     for number in range(150):
@@ -107,7 +107,7 @@ def test_solids_are_cut_together_as_each_by_itself(convex, faces, together, monk
         np.testing.assert_array_equal(triangles[member == index], cut_alone(faces, solid) if cut else faces)
 
 
-def test_solids_that_the_near_plane_cuts_beside_the_image_are_left_out_as_nothing_of_them_is_in_it(monkeypatch):
+def test_solids_cut_beside_the_image_are_left_out_and_only_long_edges_are_cut(monkeypatch):
     rng = np.random.default_rng(8)
     places = [
         (vessel("boat", *rng.uniform(2, 30, 3)), tuple(rng.uniform(-25, 25, 2)), rng.uniform(0, 6)) for _ in range(80)
@@ -120,6 +120,18 @@ def test_solids_that_the_near_plane_cuts_beside_the_image_are_left_out_as_nothin
     assert some.crosses_near.sum() > 5 and beside[0] - some.crosses_near.sum() > 5
     for name in ("occluder", "boxes_px", "areas_px", "in_frame_fraction", "crosses_near"):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name))
+    rng = np.random.default_rng(21)
+    for a, b, c, d in rng.uniform([-2, -2, 6], [2, 2, 9], (60, 4, 3)):
+        along = [
+            {tuple(p) for p in subdivided(triangle[None], INTRINSICS, 90.0)[0].reshape(-1, 3) if on_segment(p, a, b)}
+            for triangle in (np.array([a, b, c]), np.array([b, a, d]), np.array([d, b, a]), np.array([c, a, b]))
+        ]
+        assert along[0] == along[1] == along[2] == along[3]
+    # Edges of 300, 300 and 30 px: the short one stays whole, as it is no longer than 40 px.
+    corners = np.array([[-0.3, -0.3, 20.0], [0.3, -0.3, 20.0], [0.0, 5.7, 20.0]])
+    for turn in range(3):
+        small, _ = subdivided(np.roll(corners, turn, axis=0)[None], INTRINSICS, 40.0)
+        assert len(small[np.isclose(small[..., 1], -0.3).sum(axis=1) == 2]) == 1
 
 
 def test_pieces_of_triangles_name_the_triangle_that_they_are_of():
@@ -150,26 +162,8 @@ def test_rows_within_the_guard_are_those_with_every_vertex_in_it(factor, guard):
     assert (low >= -guard / factor - 1e-6).all() and (high <= size + guard / factor + 1e-6).all()
 
 
-def test_triangles_on_both_sides_of_an_edge_are_cut_at_the_same_points():
-    rng = np.random.default_rng(21)
-    for a, b, c, d in rng.uniform([-2, -2, 6], [2, 2, 9], (60, 4, 3)):
-        along = [
-            {tuple(p) for p in subdivided(triangle[None], INTRINSICS, 90.0)[0].reshape(-1, 3) if on_segment(p, a, b)}
-            for triangle in (np.array([a, b, c]), np.array([b, a, d]), np.array([d, b, a]), np.array([c, a, b]))
-        ]
-        assert along[0] == along[1] == along[2] == along[3]
-
-
 def on_segment(point, a, b):
     return np.linalg.norm(point - a) + np.linalg.norm(point - b) <= np.linalg.norm(b - a) + 1e-12
-
-
-def test_only_long_edges_are_cut():
-    """Edges of 300, 300 and 30 px: the short one stays whole, as it is no longer than 40 px."""
-    corners = np.array([[-0.3, -0.3, 20.0], [0.3, -0.3, 20.0], [0.0, 5.7, 20.0]])
-    for turn in range(3):
-        small, _ = subdivided(np.roll(corners, turn, axis=0)[None], INTRINSICS, 40.0)
-        assert len(small[np.isclose(small[..., 1], -0.3).sum(axis=1) == 2]) == 1
 
 
 @pytest.mark.parametrize("factor", [1, 3])
@@ -180,3 +174,67 @@ def test_without_faces_turned_away_the_others_are_the_same(factor):
     assert (every.of_whole & kept).sum() > 100 and len(some.row) < len(every.row) * 0.7
     for name in ("row", "corners_px", "inverse_depth", "of_whole"):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[kept], err_msg=name)
+
+
+SIZE = INTRINSICS.image_size_px
+MESHES = ("ferry", "sailboat", "container_ship")
+
+
+def tube() -> Solid:
+    """Walls around a hole along v2, through which one sees what is behind."""
+    outer, inner = (shoebox().vertices * (side, side, 1.0) for side in (1.0, 0.6))
+    vertices = np.concatenate([outer, inner])
+    side = [0, 2, 6, 4]  # around the bottom; the top has the next numbers
+    walls = []
+    for a, b in zip(side, side[1:] + side[:1], strict=True):
+        upright = (b, a, a + 1, b + 1), (a + 8, b + 8, b + 9, a + 9)  # outside, and in the hole
+        level = (a, b, b + 8, a + 8), (b + 1, a + 1, a + 9, b + 9)  # below and above
+        for c, d, e, f in upright + level:
+            walls += [(c, d, e), (c, e, f)]
+    return Solid(vertices[:, [1, 2, 0]] + [0, -0.5, 0.5], np.array(walls), convex=False)
+
+
+def seen(solid, seed, count=40):
+    """The vertices of vessels with a solid that lie wholly near the image, in pixels, and their outlines."""
+    places = random_places(np.random.default_rng(seed), count, near_m=8.0, far_m=150.0)
+    outlines = outlines_of([(replace(ship, solid=solid), *rest) for ship, *rest in places])
+    outlines = outlines.take(np.flatnonzero(within_guard(outlines, INTRINSICS)))
+    (part,) = outlines.parts
+    return part.vertices_px, outlines
+
+
+@pytest.mark.parametrize("most", [300, 200_000])
+def test_convex_solids_have_the_spans_of_convex_scan_conversion(monkeypatch, most):
+    monkeypatch.setattr("modsim3d.truth.silhouettes.MAX_CROSSINGS", most)
+    pixels, _ = seen(shoebox(), 1)
+    assert (len(_Edges.of(pixels, shoebox(), SIZE[1]).portions()) > 1) == (most == 300)
+    expected, odd = scan_convert(pixels, shoebox(), SIZE)
+    assert len(odd) == 0 and len(np.unique(expected.row)) > 15
+    for name, column in vars(winding_spans(pixels, shoebox(), SIZE)).items():
+        np.testing.assert_array_equal(column, getattr(expected, name), err_msg=name)
+
+
+@pytest.mark.parametrize("name", [*MESHES, "tube"])
+def test_meshes_have_the_pixels_that_are_drawn(renderer, name):
+    solid = tube() if name == "tube" else load_mesh(name, Path())
+    pixels, outlines = seen(solid, 2)
+    triangles, found = triangles_of(outlines, INTRINSICS), winding_spans(pixels, solid, SIZE)
+    several = 0
+    for row in range(len(outlines)):
+        own = triangles.take(triangles.row == row)
+        ids = np.ones(len(own.row), dtype=np.int64)
+        drawn = spans_of_ids(renderer.draw(own.corners_px, own.inverse_depth, ids, Region(0, 0, *SIZE)))
+        spans = found.take(found.row == row)
+        for column in ("y", "start", "stop"):
+            np.testing.assert_array_equal(getattr(spans, column), getattr(drawn, column), err_msg=column)
+        several += len(spans.y) > len(np.unique(spans.y))
+    assert several  # scan lines with a gap
+
+
+def test_every_edge_has_a_face_on_each_side():
+    for solid in (shoebox(), tube(), *(load_mesh(name, Path()) for name in MESHES)):
+        start, end, left, right = edges_of(solid)
+        assert len(start) == 3 * len(solid.faces) / 2
+        for face in (left, right):
+            assert (solid.faces[face] == start[:, None]).any(axis=1).all()
+            assert (solid.faces[face] == end[:, None]).any(axis=1).all()

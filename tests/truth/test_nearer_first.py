@@ -130,7 +130,7 @@ def ranks(outlines: Outlines) -> tuple[list[int], list[bool]]:
     return found.tolist(), known.tolist()
 
 
-def test_ranks_rise_from_near_to_far_and_are_unknown_of_solids_too_near_to_each_other_for_the_depth_buffer():
+def test_ranks_rise_from_near_to_far_and_unknown_orders_leave_it_open_who_hides(monkeypatch):
     boat, ship = vessel("boat", 5, 2, 2), vessel("ship", 200, 30, 30)
     # The centre of the ship is nearer than the boat, which lies in front of its stern.
     assert ranks(outlines_of([(ship, (250.0, 90.0), 0.6), (boat, (300.0, 30.0), 0.0)])) == ([0, 1], [True])
@@ -139,9 +139,6 @@ def test_ranks_rise_from_near_to_far_and_are_unknown_of_solids_too_near_to_each_
     assert ranks(outlines_of(queue)) == ([2, 0, 1], [True, True, True])
     for gap_m, known in ((0.0, False), (0.01, False), (1.0, True)):
         assert ranks(outlines_of([(boat, (500.0, 0.0), 0.0), (boat, (505.0 + gap_m, 0.0), 0.0)]))[1] == [known]
-
-
-def test_what_touches_the_far_side_of_a_solid_is_behind_it_unless_the_camera_sees_where_they_touch():
     for height_m, known in ((10.0, True), (30.0, False)):
         outlines = outlines_of(IN_DOUBT, mount=Mount((0.0, 0.0, height_m)))
         assert ranks(outlines) == ([0, 1 if known else 0], [known])
@@ -152,9 +149,6 @@ def test_what_touches_the_far_side_of_a_solid_is_behind_it_unless_the_camera_see
     fronts = outlines_of([(vessel("box", 5, 20, 20), (100 + far_m, 0), 0) for far_m in (0, 0.01)])  # all that is seen
     for gap_m in (0.009, 0.011):
         assert rendered._in_front(fronts, np.array([0]), np.array([1]), np.array([gap_m])) == (gap_m < 0.01)
-
-
-def test_two_obstacles_in_unknown_order_leave_it_open_who_hides_a_vessel_where_all_three_boxes_overlap():
     first, second = np.array([0, 0, 1, 2, 2]), np.array([2, 3, 2, 4, 5])  # rows 0 and 1 are obstacles
     inner = (6, 6, 7, 7)
     boxes = np.array([(0, 0, 9, 9), (5, 5, 20, 9), inner, (0, 0, 5, 9), inner, inner, (9, 0, 20, 9)], dtype=float)
@@ -166,9 +160,6 @@ def test_two_obstacles_in_unknown_order_leave_it_open_who_hides_a_vessel_where_a
     ):
         found = rendered._behind_both(pairs, np.array(nearer), boxes, one, np.array([other]))
         assert np.flatnonzero(found).tolist() == doubtful
-
-
-def test_solids_that_hide_each_other_in_a_circle_have_no_ranks_that_rise_along_it_and_no_known_order(monkeypatch):
     near, far = np.array([0, 1, 2, 0, 4]), np.array([1, 2, 0, 3, 5])
     found = _ranks(near, far, 6)
     rises = found[near] < found[far]
@@ -185,15 +176,12 @@ def strait():
     return scene, scene.sight(scene.cameras[0], np.arange(100, 102))
 
 
-def test_islands_with_hills_hide_ships_in_front_of_which_they_lie_as_if_all_were_drawn(renderer, strait):
+def test_islands_with_hills_hide_ships_as_drawn_and_boxes_around_meshes_are_shoeboxes(renderer, strait):
     scene, sight = strait
     outlines, intrinsics = sight.outlines(), scene.cameras[0].intrinsics
     cut = rendered_occlusion(outlines, intrinsics, NoRenderer())
     assert max({occluder for entries in cut.occluders for occluder, _ in entries}) >= len(scene.vessels)
     assert_same(cut, full_frame_occlusion(outlines, intrinsics, renderer))
-
-
-def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
     _, sight = strait
     (boxes,) = (part for part in sight.outlines(as_shoeboxes=True).parts if part.solid is shoebox())
     outlines = sight.outlines()
@@ -204,7 +192,7 @@ def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
             assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
 
 
-def test_frames_in_portions_have_the_truth_of_all_at_once(monkeypatch):
+def test_frames_steps_and_rows_in_portions_have_the_truth_of_all_at_once(monkeypatch):
     outlines = outlines_of(random_places(np.random.default_rng(710), 60, near_m=150.0))
     outlines = replace(outlines, frame=np.arange(len(outlines)) // 4)
     whole, heights = rendered_occlusion(outlines, INTRINSICS, NoRenderer()), np.diff(outlines.boxes_px[:, 1::2])[:, 0]
@@ -215,9 +203,6 @@ def test_frames_in_portions_have_the_truth_of_all_at_once(monkeypatch):
     monkeypatch.setattr(rendered, "_occlusion", portion)
     assert_same(rendered_occlusion(outlines, INTRINSICS, NoRenderer()), whole)
     assert portion.call_count == len(lines) and any(whole.occluders)
-
-
-def test_steps_are_projected_in_portions_of_few_or_two_of_many_as_all_at_once(monkeypatch):
     positions = np.random.default_rng(720).uniform([60, -20, 0], [200, 20, 0], (12, 3, 3))
     turned, camera = world_R_vehicle(np.zeros((12, 3))), poses_ashore(Mount((0.0, 0.0, 10.0)), 12)
     bodies = vessel_bodies([BOAT] * 3, np.ones((12, 3), dtype=bool), positions, turned)
@@ -225,9 +210,6 @@ def test_steps_are_projected_in_portions_of_few_or_two_of_many_as_all_at_once(mo
     for most in (24, 7 * 24):  # corners of three boats
         monkeypatch.setattr(projection, "MAX_VERTICES", most)
         assert_same_outlines(projection.outline(INTRINSICS, camera, bodies), whole)
-
-
-def test_steps_that_are_projected_in_portions_and_rows_between_two_have_the_outlines_of_all_at_once(monkeypatch):
     scene = load_scene("strait", mode=2)
     sight = scene.sight(scene.cameras[0], np.arange(100, 112))
     whole = sight.outlines()

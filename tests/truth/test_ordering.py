@@ -15,24 +15,13 @@ from modsim3d.truth.occlusion_order import axis_count, candidate_axes, order_of,
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import compare_with_analytic
 from modsim3d.world.vessels import shoebox
-from tests.scenes import (
-    INTRINSICS,
-    crate,
-    cyclic_beams,
-    outlines_at,
-    outlines_of,
-    pixel_masks,
-    rectangles,
-    vessel,
-    write_scene,
-)
+from tests import scenes
+from tests.scenes import INTRINSICS, crate, outlines_at, outlines_of, pixel_masks, rectangles, vessel, write_scene
 
 SHIP, BOAT = 0, 1
 
 
-def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_stern_but_by_the_rule_of_rectangles(
-    renderer,
-):
+def test_a_long_ship_hides_no_boat_before_its_stern_and_a_plane_close_to_the_camera_tells(renderer):
     # 210 m from (95, 31) to (301, −10): the ship's centre is 200 m ahead, that of the boat off its stern 220 m.
     ship, boat = vessel("ship", 210, 8, 15), vessel("boat", 2, 4, 4)
     outlines = outlines_of([(ship, (198.0, 10.4), float(np.arctan2(-41, 206))), (boat, (220.0, -2.0), 0.0)])
@@ -46,10 +35,7 @@ def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_ster
         assert seen.visible_px[SHIP] + hidden_px == pytest.approx(seen.silhouette_px[SHIP])
     ruled = rectangle_occlusion(outlines)
     assert ruled.visible_px[BOAT] == 0 and ruled.visible_px[SHIP] == ruled.silhouette_px[SHIP]
-
-
-def test_plane_that_passes_the_camera_closely_tells_who_hides_whom():
-    """The side of a long ship, 30 cm beside the camera; the nearest corner of a boat beyond is at 50 cm."""
+    # The side of a long ship, 30 cm beside the camera; the nearest corner of a boat beyond is at 50 cm.
     ship, boat = vessel("ship", 250, 5.3, 8), vessel("boat", 100, 9.5, 8)
     for side in (1, -1):
         order = order_of(outlines_of([(ship, (175, -2.35 * side), 0), (boat, (150, 10.22 * side), 0.1 * side)]))
@@ -57,7 +43,7 @@ def test_plane_that_passes_the_camera_closely_tells_who_hides_whom():
 
 
 def test_three_beams_each_hide_a_part_of_the_next(renderer):
-    boxes, mount = cyclic_beams()
+    boxes, mount = scenes.cyclic_beams()
     outlines = outlines_at(boxes, INTRINSICS, mount)
     order = order_of(outlines)
     columns = zip(order.first, order.second, order.first_can_hide, order.second_can_hide, strict=True)
@@ -107,7 +93,7 @@ def test_touching_boxes_do_not_intersect_and_boxes_a_millimetre_into_each_other_
     assert order_of(outlines_of(pushed, wide)).intersecting.tolist() == [True]
 
 
-def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_them(renderer):
+def test_intersecting_boxes_are_named_and_what_both_hide_counts_for_the_nearer(renderer):
     """Two rafted boats that overlap by a metre, a boat behind both, one beside them, and one on a low pier, on which a
     high one stands."""
     boat, places = vessel("boat", 10, 4, 10), ((200, 3), (100, 0), (101, 3), (100, -20), (99, 31))
@@ -124,9 +110,6 @@ def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_the
     assert 0 < sum(px for _, px in seen.occluders[0]) == pytest.approx(seen.silhouette_px[0] - seen.visible_px[0])
     assert {vessel for vessel, _ in seen.occluders[0]} == {vessel for vessel, _ in drawn.occluders[0]} == {1, 2}
     np.testing.assert_array_equal(seen.truth(outlines, np.array([7]), 3).intersections, [[7, 3, 1, 2], [7, 3, 4, 5]])
-
-
-def test_what_two_intersecting_boxes_both_hide_counts_for_the_nearer_in_every_raft():
     boat = vessel("boat", 10, 4, 10)
     rafts = [[(boat, (100, side), 0), (boat, (101, side + 3), 0), (boat, (200, 2 * side + 3), 0)] for side in (-20, 15)]
     outlines = outlines_of([place for raft in rafts for place in raft])
@@ -185,35 +168,6 @@ def test_order_does_not_depend_on_the_scale_of_the_scene_and_how_solids_are_grou
             np.testing.assert_array_equal(getattr(order, name), getattr(whole, name))
 
 
-def test_two_shoeboxes_have_fifteen_axes_that_are_normals_and_edges_across_each_other():
-    """Gottschalk, Lin & Manocha (1996): 3 + 3 face normals and 9 cross products of edges."""
-    outlines, (_, turns, _) = tumbled_pairs(np.random.default_rng(14), 40)
-    vertices, box = outlines.parts[0].vertices_camera, shoebox()
-    assert axis_count(box, box) == 15
-    axes = candidate_axes(vertices[::2], box, vertices[1::2], box)
-    assert axes.shape == (40, 15, 3)
-    for found, a, b in zip(axes, turns[::2], turns[1::2], strict=True):  # the columns of a turn are the box's axes
-        crosses = np.cross(a.T[:, None], b.T[None]).reshape(-1, 3)
-        crosses /= np.linalg.norm(crosses, axis=1, keepdims=True)
-        alike = np.abs(np.concatenate([a.T, b.T, crosses]) @ found.T)
-        np.testing.assert_allclose(np.sort(alike, axis=1)[:, -1], 1, atol=1e-9)
-        np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
-    alone = candidate_axes(vertices[:1], box, vertices[:1], box)[0]
-    assert np.isclose(np.linalg.norm(alone, axis=1), 1).sum() == 12  # three pairs of edges are parallel
-    assert (np.linalg.norm(alone, axis=1) == 0).sum() == 3
-
-
-def test_separating_planes_are_found_exactly_where_linear_programming_finds_one():
-    outlines, _ = tumbled_pairs(np.random.default_rng(5), 300)
-    order = order_of(outlines)
-    np.testing.assert_array_equal(order.first, np.arange(0, 600, 2))
-    gaps = np.array([margin_of_separation(*outlines.parts[0].vertices_camera[[i, i + 1]]) for i in range(0, 600, 2)])
-    clear = (gaps == 0) | (gaps > 1e-6)
-    assert clear.sum() > 290
-    np.testing.assert_array_equal(order.intersecting[clear], (gaps == 0)[clear])
-    assert 60 < order.intersecting.sum() < 240
-
-
 def test_axis_across_the_widest_gap_of_two_hulls_is_a_unit_vector_that_no_other_direction_beats():
     rng = np.random.default_rng(11)
 
@@ -236,7 +190,7 @@ def test_axis_across_the_widest_gap_of_two_hulls_is_a_unit_vector_that_no_other_
     assert not widest_gap_axis(cube, cube + np.array([0.5, 0.0, 0.0])).any()
 
 
-def test_upright_boxes_intersect_exactly_where_their_footprints_do():
+def test_two_shoeboxes_have_fifteen_axes_planes_where_one_exists_and_footprints_that_tell():
     rng = np.random.default_rng(6)
     wide, told = replace(INTRINSICS, focal_px=(10.0, 10.0)), []
     for _ in range(200):
@@ -248,6 +202,29 @@ def test_upright_boxes_intersect_exactly_where_their_footprints_do():
             assert order.intersecting.tolist() == [shapely.area(shapely.intersection(one, two)) > 0]
             told.append(bool(order.intersecting[0]))
     assert 20 < sum(told) < len(told) - 20
+    # Gottschalk, Lin & Manocha (1996): 3 + 3 face normals and 9 cross products of edges.
+    outlines, (_, turns, _) = tumbled_pairs(np.random.default_rng(14), 40)
+    vertices, box = outlines.parts[0].vertices_camera, shoebox()
+    assert axis_count(box, box) == 15
+    axes = candidate_axes(vertices[::2], box, vertices[1::2], box)
+    assert axes.shape == (40, 15, 3)
+    for found, a, b in zip(axes, turns[::2], turns[1::2], strict=True):  # the columns of a turn are the box's axes
+        crosses = np.cross(a.T[:, None], b.T[None]).reshape(-1, 3)
+        crosses /= np.linalg.norm(crosses, axis=1, keepdims=True)
+        alike = np.abs(np.concatenate([a.T, b.T, crosses]) @ found.T)
+        np.testing.assert_allclose(np.sort(alike, axis=1)[:, -1], 1, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
+    alone = candidate_axes(vertices[:1], box, vertices[:1], box)[0]
+    assert np.isclose(np.linalg.norm(alone, axis=1), 1).sum() == 12  # three pairs of edges are parallel
+    assert (np.linalg.norm(alone, axis=1) == 0).sum() == 3
+    outlines, _ = tumbled_pairs(np.random.default_rng(5), 300)
+    order = order_of(outlines)
+    np.testing.assert_array_equal(order.first, np.arange(0, 600, 2))
+    gaps = np.array([margin_of_separation(*outlines.parts[0].vertices_camera[[i, i + 1]]) for i in range(0, 600, 2)])
+    clear = (gaps == 0) | (gaps > 1e-6)
+    assert clear.sum() > 290
+    np.testing.assert_array_equal(order.intersecting[clear], (gaps == 0)[clear])
+    assert 60 < order.intersecting.sum() < 240
 
 
 def first_met(directions, extents, turn, place):

@@ -92,13 +92,10 @@ def assert_read_as_by_trimesh(content: bytes) -> None:
         np.testing.assert_array_equal(got, want)
 
 
-def test_the_shipped_meshes_are_those_of_the_table() -> None:
+def test_the_shipped_meshes_are_those_of_the_table_and_of_the_script_to_the_byte(tmp_path):
     table = yaml.safe_load((ROOT / "meshes" / "meshes.yaml").read_text())
     assert sorted(table) == sorted(shipped_meshes()) == sorted(NAMES)
     assert all(table[name]["faces"] == len(load_mesh(name, ROOT).faces) for name in NAMES)
-
-
-def test_make_meshes_writes_the_committed_bytes(tmp_path: Path) -> None:
     runpy.run_path(str(ROOT / "script" / "make_meshes"))["main"](tmp_path)
     for written in sorted(tmp_path.iterdir()):
         assert written.read_bytes() == (ROOT / "meshes" / written.name).read_bytes(), written.name
@@ -108,9 +105,8 @@ def test_make_meshes_writes_the_committed_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_mesh_is_a_solid_that_fills_the_unit_box_and_is_read_as_by_trimesh(name: str) -> None:
     solid = load_mesh(name, ROOT)
-    assert np.array_equal(
-        [solid.vertices.min(axis=0), solid.vertices.max(axis=0)], [[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]
-    )
+    bounds = [solid.vertices.min(axis=0), solid.vertices.max(axis=0)]
+    assert np.array_equal(bounds, [[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
     assert solid.closed and not solid.convex and 60 <= len(solid.faces) <= 400
     witness = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
     assert witness.is_watertight and witness.is_winding_consistent and witness.body_count == 1
@@ -141,14 +137,6 @@ def test_every_ray_enters_a_shipped_mesh_through_a_front_face_and_leaves_it_agai
     assert hits > 100
 
 
-def test_a_shipped_mesh_has_its_bow_forward_and_its_mast_up() -> None:
-    ferry = load_mesh("ferry", ROOT).vertices
-    bow, stern = ferry[ferry[:, 0] > 0.49], ferry[ferry[:, 0] < -0.49]
-    assert np.ptp(bow[:, 1]) < 0.2 < np.ptp(stern[:, 1])
-    sails = load_mesh("sailboat", ROOT).vertices
-    assert np.abs(sails[sails[:, 2] > 0.9, 1]).max() < 0.2
-
-
 def test_the_shape_is_the_same_through_every_format_and_in_other_axes(tmp_path: Path) -> None:
     want = load_mesh("motorboat", ROOT)
     mesh = trimesh.Trimesh(want.vertices * [8.5, 2.8, 2.6] + [100, -20, 3], want.faces, process=False)
@@ -167,24 +155,26 @@ def test_the_shape_is_the_same_through_every_format_and_in_other_axes(tmp_path: 
         assert got.closed and len(got.vertices) == len(want.vertices), file
 
 
-def test_axes_map_the_file_to_forward_port_up() -> None:
+def test_axes_map_the_file_to_forward_port_up_where_a_shipped_mesh_has_its_bow_and_mast():
     for forward, up in itertools.product(get_args(Axis), repeat=2):
         if forward[1] != up[1]:
             rotation = vehicle_R_file(forward, up)
             assert np.allclose(rotation @ np.transpose([axis(forward), axis(up)]), [[1, 0], [0, 0], [0, 1]])
             assert np.isclose(np.linalg.det(rotation), 1.0)
+    ferry = load_mesh("ferry", ROOT).vertices
+    bow, stern = ferry[ferry[:, 0] > 0.49], ferry[ferry[:, 0] < -0.49]
+    assert np.ptp(bow[:, 1]) < 0.2 < np.ptp(stern[:, 1])
+    sails = load_mesh("sailboat", ROOT).vertices
+    assert np.abs(sails[sails[:, 2] > 0.9, 1]).max() < 0.2
 
 
-def test_glb_is_read_in_gltf_axes_unless_told_otherwise(tmp_path: Path) -> None:
+def test_glb_is_read_in_gltf_axes_unless_told_otherwise_and_nodes_placed_by_their_transforms(tmp_path):
     (tmp_path / "wedge.glb").write_bytes(glb(*wedge_description()))
     solid = load_mesh("wedge.glb", tmp_path)
     bow, _, top = solid.vertices[solid.vertices.argmax(axis=0)].tolist()
     assert (bow, top) == ([0.5, 0.0, 0.0], [-0.5, 0.0, 1.0]) and solid.closed and solid.convex
     turned = load_mesh({"file": "wedge.glb", "forward": "-z"}, tmp_path)
     assert turned.vertices[np.argmax(turned.vertices[:, 2])].tolist() == [0.5, 0.0, 1.0]
-
-
-def test_nodes_are_placed_by_their_transforms_and_a_mirrored_one_is_not_inside_out(tmp_path: Path) -> None:
     description, data = wedge_description()
     description["nodes"] = [
         {"children": [1, 2], "translation": [0, 0, 5]},
@@ -222,7 +212,14 @@ def test_parts_have_the_order_and_the_place_that_trimesh_gives_them() -> None:
     assert_read_as_by_trimesh(glb(description, data))
 
 
-def test_any_transforms_give_the_bits_that_trimesh_gives() -> None:
+def test_every_primitive_is_read_with_the_bits_of_trimesh_s_transforms(tmp_path):
+    """Trimesh loses primitives of one mesh whose random names coincide, of 12 000 a dozen."""
+    description, data = wedge_description()
+    description["meshes"][0]["primitives"] *= 100
+    description["nodes"][0]["scale"] = [2, 1, 1]
+    (tmp_path / "parts.glb").write_bytes(glb(description, data))
+    got = load_mesh("parts.glb", tmp_path)
+    assert len(got.faces) == 400 and len(got.vertices) == 4
     description, data = wedge_description()
     rng = np.random.default_rng(0)
     sizes = {"rotation": 4, "translation": 3, "scale": 3}
@@ -234,16 +231,6 @@ def test_any_transforms_give_the_bits_that_trimesh_gives() -> None:
     ]
     description["scenes"] = [{"nodes": list(range(0, 300, 3))}]
     assert_read_as_by_trimesh(glb(description, data))
-
-
-def test_every_primitive_of_a_mesh_is_read(tmp_path: Path) -> None:
-    """Trimesh loses primitives of one mesh whose random names coincide, of 12 000 a dozen."""
-    description, data = wedge_description()
-    description["meshes"][0]["primitives"] *= 100
-    description["nodes"][0]["scale"] = [2, 1, 1]
-    (tmp_path / "parts.glb").write_bytes(glb(description, data))
-    got = load_mesh("parts.glb", tmp_path)
-    assert len(got.faces) == 400 and len(got.vertices) == 4
 
 
 def test_an_inside_out_mesh_is_turned_faces_are_split_and_a_hole_or_mixed_winding_is_open(tmp_path: Path) -> None:
@@ -283,10 +270,22 @@ def as_programs_write_it() -> dict[str, bytes]:
     }
 
 
-def test_what_programs_add_to_a_mesh_changes_nothing(tmp_path: Path) -> None:
+def test_what_programs_add_to_a_mesh_changes_nothing_and_only_as_many_faces_as_allowed_are_read(tmp_path):
     for file, content in as_programs_write_it().items():
         (tmp_path / file).write_bytes(content)
         assert triangles(load_mesh(file, tmp_path)) == triangles(shoebox()), file
+    for name, (content, size, said) in many_faces().items():
+        with (tmp_path / name).open("wb") as file:
+            file.write(content)
+            file.truncate(size)
+        assert said in problem(name, tmp_path)
+        (tmp_path / name).unlink()
+    corners = np.random.default_rng(0).uniform(size=(MAX_FACES + 1, 3, 3))
+    soup = np.arange(3 * MAX_FACES + 3).reshape(-1, 3)
+    trimesh.Trimesh(corners.reshape(-1, 3), soup, process=False).export(tmp_path / "more.stl")
+    trimesh.Trimesh(corners[:-1].reshape(-1, 3), soup[:-1], process=False).export(tmp_path / "most.stl")
+    assert len(load_mesh("most.stl", tmp_path).faces) == MAX_FACES
+    assert f"has {MAX_FACES + 1} faces" in problem("more.stl", tmp_path)
 
 
 FIVE_MILLION = 5_000_000
@@ -310,24 +309,6 @@ def many_faces() -> dict[str, tuple[bytes, int, str]]:
         "big.obj": (b"v 0 0 0\n" + b"f 1 1 1\n" * FIVE_MILLION, 8 + 8 * FIVE_MILLION, "has 5000000 faces"),
         "text.stl": (b"solid\n" * 20 + b"endfacet\n" * 60_000, 120 + 9 * 60_000, "has 60000 faces"),
     }
-
-
-def test_too_many_faces_are_refused_before_they_are_read(tmp_path: Path) -> None:
-    for name, (content, size, said) in many_faces().items():
-        with (tmp_path / name).open("wb") as file:
-            file.write(content)
-            file.truncate(size)
-        assert said in problem(name, tmp_path)
-        (tmp_path / name).unlink()
-
-
-def test_as_many_faces_as_allowed_are_read(tmp_path: Path) -> None:
-    corners = np.random.default_rng(0).uniform(size=(MAX_FACES + 1, 3, 3))
-    soup = np.arange(3 * MAX_FACES + 3).reshape(-1, 3)
-    trimesh.Trimesh(corners.reshape(-1, 3), soup, process=False).export(tmp_path / "more.stl")
-    trimesh.Trimesh(corners[:-1].reshape(-1, 3), soup[:-1], process=False).export(tmp_path / "most.stl")
-    assert len(load_mesh("most.stl", tmp_path).faces) == MAX_FACES
-    assert f"has {MAX_FACES + 1} faces" in problem("more.stl", tmp_path)
 
 
 BOX_ROWS = [" ".join(map(str, row)) for row in shoebox().vertices.tolist()]
@@ -441,18 +422,6 @@ def test_a_bad_file_is_refused_in_one_clear_line(file: str, tmp_path: Path) -> N
     assert len(line) < 300 and "\n" not in line
 
 
-def test_harmless_references_are_not_followed(tmp_path: Path) -> None:
-    libraries = ("box.mtl", "../../secret.mtl", "https://example.org/a.mtl", "C:\\Users\\me\\ship.mtl")
-    files = {f"{number}.obj": obj(f"mtllib {name}", "usemtl paint") for number, name in enumerate(libraries)}
-    assert all(b"mtl" not in read_obj(io.BytesIO(content), len(content)) for content in files.values())
-    texture = PLY_FACES.replace("ascii 1.0\n", "ascii 1.0\ncomment TextureFile /etc/passwd\n")
-    files["box.ply"] = ply(BOX_ROWS, header=texture)
-    files["box.glb"] = changed(images=[{"uri": "paint.png"}, {"uri": "data:image/png;base64,AAAA"}])
-    for file, content in files.items():
-        (tmp_path / file).write_bytes(content)
-        assert load_mesh(file, tmp_path).closed, file
-
-
 def test_a_bad_entry_is_refused_in_one_clear_line(tmp_path: Path) -> None:
     outside, scene = tmp_path / "outside.stl", tmp_path / "scene"
     outside.write_bytes(trimesh.creation.box().export(file_type="stl"))
@@ -485,11 +454,20 @@ def test_a_bad_entry_is_refused_in_one_clear_line(tmp_path: Path) -> None:
         assert words in problem(entry, scene), entry
 
 
-def test_references_inside_the_folder_are_told_from_others() -> None:
+def test_references_inside_the_folder_are_told_from_others_and_harmless_ones_not_followed(tmp_path):
     ways = ("/", "../", "x/../", "..\\", "\\\\host\\", "file:", "~/", " /")
     for inside in ("hull.bin", "a/b.png", "a..b.png", "..a/b"):
         assert not leads_outside(inside)
         assert all(leads_outside(f"{way}{inside}") for way in ways), inside
+    libraries = ("box.mtl", "../../secret.mtl", "https://example.org/a.mtl", "C:\\Users\\me\\ship.mtl")
+    files = {f"{number}.obj": obj(f"mtllib {name}", "usemtl paint") for number, name in enumerate(libraries)}
+    assert all(b"mtl" not in read_obj(io.BytesIO(content), len(content)) for content in files.values())
+    texture = PLY_FACES.replace("ascii 1.0\n", "ascii 1.0\ncomment TextureFile /etc/passwd\n")
+    files["box.ply"] = ply(BOX_ROWS, header=texture)
+    files["box.glb"] = changed(images=[{"uri": "paint.png"}, {"uri": "data:image/png;base64,AAAA"}])
+    for file, content in files.items():
+        (tmp_path / file).write_bytes(content)
+        assert load_mesh(file, tmp_path).closed, file
 
 
 def test_any_damaged_file_is_refused_or_a_solid(tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
-"""Timestamps, circles, replayed poses and vessels along waypoints."""
+"""Pose sources by name; timestamps, circles, replayed poses and vessels along waypoints."""
 
 import json
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,12 +12,15 @@ from hypothesis import strategies as st
 
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera_poses import heading_of
+from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
+from modsim3d.world.poses.agents import AgentsKeys, drive_agents
 from modsim3d.world.poses.base import LongTimes, WaypointTracks, generated_timestamps, waypoint_tracks
 from modsim3d.world.poses.circular import circular_motion, swept_ring
+from modsim3d.world.poses.registry import SOURCES
 from modsim3d.world.poses.replay import parse_poses
 from modsim3d.world.vessels import Vessel
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 SHIPS = tuple(Vessel(f"vessel{i}", "Vessel", *size) for i, size in enumerate([(14, 4, 20)] * 2 + [(7, 3, 4)] * 3))
 
@@ -24,10 +29,30 @@ def motion(seed=0, ships=SHIPS, radius=(5.0, 500.0), steps=50):
     return circular_motion(ships, steps, 0.2, (1000.0, 1000.0), radius, (0.005, 0.03), seed)
 
 
-def test_timestamps_are_exact_decimals():
+def test_timestamps_are_exact_and_a_vessel_is_at_each_waypoint_at_its_time():
     assert generated_timestamps(6, 0.2) == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
     last = {(4, 0.1): "0.3", (3, 1.0): "2.0", (2, 1e-7): "0.0000001", (2, 1e22): "10000000000000000000000.0"}
     assert {case: generated_timestamps(*case)[-1] for case in last} == last
+    here = {"center_position_m": [1, 2, 0], "heading_rad": 0.5}
+    data = {"0": {"a": here}, "0.50": {"a": here, "b": {"center_position_m": [0, 0, 0.5], "heading_rad": -1}}}
+    recorded = parse_poses(data, "poses", ["a", "b"])
+    poses = recorded.poses(0, 2)
+    assert (recorded.timestamps, poses.present.tolist()) == (("0", "0.50"), [[True, False], [True, True]])
+    assert poses.positions_m[1].tolist() == [[1, 2, 0], [0, 0, 0.5]] and poses.headings_rad[1].tolist() == [0.5, -1]
+    assert list(waypoint_tracks(CORNER, ["a"], 4, 0.1).timestamps) == ["0.0", "0.1", "0.2", "0.3"]  # exact decimals
+    poses = waypoint_tracks(CORNER, ["a", "trackless"], 11, 1.0).poses(0, 11)
+    places_m, headings_rad = poses.positions_m[2:9, 0], poses.headings_rad[2:9, 0]
+    np.testing.assert_array_equal(places_m[[0, 4, 6]], [[0, 0, 0], [8, 0, 0], [8, -6, 0]])
+    # 8 m in 4 s, 6 m in 2 s; at the last one it keeps its last leg's heading.
+    np.testing.assert_allclose(np.linalg.norm(np.diff(places_m, axis=0), axis=1), [2] * 4 + [3] * 2)
+    np.testing.assert_allclose(headings_rad, [0.0] * 4 + [-np.pi / 2] * 3)
+    # It is there from its first waypoint to its last and at no other time.
+    assert poses.present.tolist() == [[2 <= step <= 8, False] for step in range(11)]
+    assert not poses.positions_m[~poses.present].any() and not poses.headings_rad[~poses.present].any()
+    # Tracks stand in the order of the scene's vessels.
+    both = {"b": [(0.0, 1.0, 1.0), (1.0, 2.0, 2.0)], "a": [(0.0, -1.0, 0.0), (1.0, -2.0, 0.0)]}
+    places_m = waypoint_tracks(both, ["a", "b"], 1, 1.0).poses(0, 1).positions_m[0]
+    np.testing.assert_array_equal(places_m, [[-1, 0, 0], [1, 1, 0]])
 
 
 INDEX = st.integers(-5000, 5000)
@@ -44,7 +69,7 @@ def test_times_of_a_long_scene_are_the_generated_ones(steps, first, stop, stride
         long[steps]
 
 
-def test_circular_motion_follows_the_source_and_a_ring_holds_every_point_of_a_hull():
+def test_circular_motion_follows_the_source_by_the_seed_on_rings_that_hold_their_hulls():
     """Jessen & Mohr (2023), eq. 7.5 and 7.7: on the circle, heading along it."""
     circle = motion()
     poses = circle.poses(10, 20)
@@ -57,6 +82,10 @@ def test_circular_motion_follows_the_source_and_a_ring_holds_every_point_of_a_hu
     along, across = np.meshgrid(np.linspace(-7, 7, 57), np.linspace(-2, 2, 17))
     distance, (inner, outer) = np.hypot(5.0 + across, along), swept_ring(5.0, 14.0, 4.0)
     assert (inner, outer) == pytest.approx((distance.min(), distance.max())) and outer > 9.8
+    np.testing.assert_array_equal(motion(3).radii_m, motion(3).radii_m)
+    assert (motion(3).radii_m != motion(4).radii_m).all()
+    with pytest.raises(InputError, match=r"no free ring for vessel 'vessel\d'.*between radii 5.0 and 8.0"):
+        motion(radius=(5.0, 8.0))
 
 
 @settings(max_examples=30, deadline=None)
@@ -69,40 +98,7 @@ def test_rings_swept_by_the_hulls_are_disjoint(seed):
     assert ((circle.rates_rad_s >= 0.005) & (circle.rates_rad_s <= 0.03)).all()
 
 
-def test_seed_decides_the_circles_and_vessels_that_do_not_fit_are_an_error():
-    np.testing.assert_array_equal(motion(3).radii_m, motion(3).radii_m)
-    assert (motion(3).radii_m != motion(4).radii_m).all()
-    with pytest.raises(InputError, match=r"no free ring for vessel 'vessel\d'.*between radii 5.0 and 8.0"):
-        motion(radius=(5.0, 8.0))
-
-
-def test_recorded_poses_keep_the_text_of_their_times_and_absent_vessels():
-    here = {"center_position_m": [1, 2, 0], "heading_rad": 0.5}
-    data = {"0": {"a": here}, "0.50": {"a": here, "b": {"center_position_m": [0, 0, 0.5], "heading_rad": -1}}}
-    recorded = parse_poses(data, "poses", ["a", "b"])
-    poses = recorded.poses(0, 2)
-    assert (recorded.timestamps, poses.present.tolist()) == (("0", "0.50"), [[True, False], [True, True]])
-    assert poses.positions_m[1].tolist() == [[1, 2, 0], [0, 0, 0.5]] and poses.headings_rad[1].tolist() == [0.5, -1]
-
-
 CORNER = {"a": [(2.0, 0.0, 0.0), (6.0, 8.0, 0.0), (8.0, 8.0, -6.0)]}
-
-
-def test_vessel_is_at_each_waypoint_at_its_time_and_between_goes_ahead_at_constant_speed():
-    assert list(waypoint_tracks(CORNER, ["a"], 4, 0.1).timestamps) == ["0.0", "0.1", "0.2", "0.3"]  # exact decimals
-    poses = waypoint_tracks(CORNER, ["a", "trackless"], 11, 1.0).poses(0, 11)
-    places_m, headings_rad = poses.positions_m[2:9, 0], poses.headings_rad[2:9, 0]
-    np.testing.assert_array_equal(places_m[[0, 4, 6]], [[0, 0, 0], [8, 0, 0], [8, -6, 0]])
-    # 8 m in 4 s, 6 m in 2 s; at the last one it keeps its last leg's heading.
-    np.testing.assert_allclose(np.linalg.norm(np.diff(places_m, axis=0), axis=1), [2] * 4 + [3] * 2)
-    np.testing.assert_allclose(headings_rad, [0.0] * 4 + [-np.pi / 2] * 3)
-    # It is there from its first waypoint to its last and at no other time.
-    assert poses.present.tolist() == [[2 <= step <= 8, False] for step in range(11)]
-    assert not poses.positions_m[~poses.present].any() and not poses.headings_rad[~poses.present].any()
-    # Tracks stand in the order of the scene's vessels.
-    both = {"b": [(0.0, 1.0, 1.0), (1.0, 2.0, 2.0)], "a": [(0.0, -1.0, 0.0), (1.0, -2.0, 0.0)]}
-    places_m = waypoint_tracks(both, ["a", "b"], 1, 1.0).poses(0, 1).positions_m[0]
-    np.testing.assert_array_equal(places_m, [[-1, 0, 0], [1, 1, 0]])
 
 
 WRONG = [
@@ -153,3 +149,55 @@ def test_poses_of_all_vessels_at_once_are_those_of_each_track_bit_for_bit(first,
             places_m[there, :2], headings_rad[there] = along(track, times_s[there])
         for name, expected in (("present", there), ("positions_m", places_m), ("headings_rad", headings_rad)):
             np.testing.assert_array_equal(getattr(poses, name)[:, column], expected)
+
+
+def scene_of(folder, poses: dict[str, Any], **keys: Any):
+    cameras = {"C0": camera_keys(pose={"position_m": [-20, 0, 10]})}
+    keys = {"time_step_s": 0.1, "seed": 3, "cameras": cameras, **keys}
+    return write_scene(folder, {name: ([8, 4, 1], []) for name in ("a", "b")}, 20, poses=poses, **keys)
+
+
+def test_agents_of_a_scene_are_those_of_python_and_what_is_wrong_with_them_is_told_with_its_path(tmp_path):
+    scene = load_scene(scene_of(tmp_path, {"agents": {"size_m": [80, 50], "speed_m_s": [1, 2]}}))
+    driven = drive_agents(scene.vessels, 20, 0.1, AgentsKeys(size_m=(80, 50), speed_m_s=(1, 2)), 3)
+    assert tuple(scene.poses.timestamps) == driven.timestamps
+    np.testing.assert_array_equal(scene.poses.poses(0, 20).positions_m, driven.recorded.positions_m)
+    np.testing.assert_array_equal(scene.poses.poses(0, 20).headings_rad, driven.recorded.headings_rad)
+    with pytest.raises(InputError, match=r"poses\.agents: no free place for vessel 'a' \(8\.0 m × 4\.0 m\) in a basin"):
+        load_scene(scene_of(tmp_path, {"agents": {"size_m": [5, 5]}}))
+    with pytest.raises(InputError) as caught:  # keys of a source are looked at beside other mistakes
+        load_scene(scene_of(tmp_path, {"agents": {"size_m": [80, 50], "sped": 1}}, sead=4))
+    assert [problem.partition(":")[0] for problem in caught.value.problems] == ["sead", "poses.agents.sped"]
+
+
+@pytest.mark.parametrize("name", sorted(name for name, keys in SOURCES.items() if keys.generated))
+def test_sources_without_times_of_their_own_need_the_scenes(tmp_path, name):
+    good = {
+        "circular": {"radius_m": [20, 90], "rotation_rate_rad_s": [0.1, 0.2]},
+        "tracks": {"a": [[0, 100, 0], [9, 100, 9]]},
+        "agents": {"size_m": [80, 50]},
+        "traffic": {"own": {"a": {"waypoints_m": [[0, 0], [900, 0]], "speed_m_s": 3}}},
+    }
+    assert load_scene(scene_of(tmp_path, {name: good[name]})).steps == 20
+    with pytest.raises(InputError, match=f"poses: {name} has no times of its own: give time_step_s beside it"):
+        load_scene(scene_of(tmp_path, {name: good[name]}, time_step_s=None))
+
+
+def test_vessels_appear_and_leave_and_the_document_lists_every_source_and_its_keys(tmp_path):
+    """A vessel that is away has no row of truth at that step, and is there again when it has a pose again."""
+    here = {name: {"center_position_m": [100, w2, 0], "heading_rad": 0} for name, w2 in (("a", 0), ("b", 20))}
+    steps = [["a"], ["a", "b"], [], ["b"], ["a", "b"]]
+    poses = {f"{t}.0": {name: here[name] for name in names} for t, names in enumerate(steps)}
+    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    tracks = {"a": [[0.2, 100, 0], [0.4, 101, 0]], "b": [[0.4, 100, 20], [0.6, 101, 20]]}
+    on_tracks = [[], [], ["a"], ["a"], ["a", "b"], ["b"], ["b"], []]
+    for source, there in (({"file": "poses.json"}, steps), ({"tracks": tracks}, on_tracks)):
+        scene = load_scene(scene_of(tmp_path, source, annotation={"source": "analytic"}), steps=len(there))
+        assert [list(frame.truth.vessels) for frame in simulate_frames(scene)] == there
+    document = (Path(__file__).resolve().parents[2] / "docs" / "poses.md").read_text(encoding="utf-8")
+    for name, keys in SOURCES.items():
+        assert f"| `{name}: " in document
+        section = document.partition(f"\n## `{name}`")[2].partition("\n## ")[0]
+        assert section
+        for key in keys.model_fields if name in ("circular", "agents", "stream") else ():
+            assert f"| `{key}` | " in section, (name, key)

@@ -33,7 +33,7 @@ def moved(sea, hull, way):
     return floating.FloatingVessels(sea, {"own": hull}).motion("own", way)
 
 
-def test_shape_has_the_scale_factor_of_the_recommended_practice_and_bands_are_integrated_by_gauss_and_legendre():
+def test_the_spectrum_has_the_scale_of_the_recommended_practice_and_four_deviations_are_its_height():
     """DNV-RP-C205, §3.5.5: A = 1 − 0.287 ln γ keeps the energy of γ = 1, ω_p / 5; good to 1 %."""
     for peakedness in (1.0, 2.0, 3.3, 5.0):
         energy, _ = quad(jonswap_shape, 0.05, 30, (0.7, peakedness), points=(0.6, 0.7, 0.8), limit=200)
@@ -43,10 +43,7 @@ def test_shape_has_the_scale_factor_of_the_recommended_practice_and_bands_are_in
     nodes, weights = np.polynomial.legendre.leggauss(8)
     np.testing.assert_allclose(floating.NODES, nodes[4:], rtol=0, atol=1e-15)
     np.testing.assert_allclose(floating.WEIGHTS, weights[4:], rtol=0, atol=3e-15)
-
-
-def test_significant_height_is_four_standard_deviations_of_the_elevation():
-    """Over 120 seas of ten minutes; the error is that of the mean over seas."""
+    # Over 120 seas of ten minutes; the error is that of the mean over seas.
     times = np.arange(0, 600, 0.5)
     places = np.array([[120.0, -40.0, 0.0]]).repeat(len(times), axis=0)
     variances = [np.mean(jonswap_sea(2.5, 8.0, 0.3, seed).elevation_m(times, places) ** 2) for seed in range(120)]
@@ -121,7 +118,7 @@ def test_heave_and_pitch_amplitudes_are_the_closed_forms_in_head_and_following_s
     assert abs(found.pitch[0, 0]) == pytest.approx(abs(pitch), rel=1e-9)
 
 
-def test_roll_answers_most_at_its_period_and_is_damped():
+def test_roll_and_hull_answer_at_their_periods_and_the_seed_decides_the_sea():
     period = BOAT.roll_period_s
     assert period == pytest.approx(2 * (0.373 + 0.069 - 0.00516) * 4 / np.sqrt(0.4))
     w = 2 * np.pi / period * np.linspace(0.5, 1.5, 401)
@@ -129,6 +126,33 @@ def test_roll_answers_most_at_its_period_and_is_damped():
     magnified = abs(response(BOAT, w, w[None], np.array([np.pi / 2])).roll[0]) / slope
     assert w[magnified.argmax()] == pytest.approx(2 * np.pi / period, rel=0.05)
     assert magnified.max() == pytest.approx(1 / (2 * floating.ROLL_DAMPING), rel=0.1)
+    # The phase falls with time as e^(−i ω_e t), so that a lag is a positive angle where ω_e is positive.
+    for encounter in (1.2, -1.2):
+        found = response(Hull(10, 4), np.array([1.0]), np.array([[encounter]]), np.array([np.pi / 2]))
+        for lag in np.angle([found.heave[0, 0], 1j * found.roll[0, 0]]) * np.sign(encounter):
+            assert 0 < lag < np.pi
+    # Head seas of 4 s at 6 m/s: met at ω + k U.
+    sea, speed = one_wave(4.0), 6.0
+    w, k = sea.frequencies_rad_s, sea.wave_numbers_rad_m
+    met = w + k * speed
+    motion = moved(sea, BOAT, passage(np.linspace(0, 2 * np.pi / met[0], 40, endpoint=False), np.pi, speed))
+    answer = response(BOAT, w, met[None], np.array([np.pi]))
+    assert np.sqrt(2) * motion.heave_m.std() == pytest.approx(abs(answer.heave[0, 0]), rel=1e-6)
+    assert np.sqrt(2) * motion.angles_rad[:, 1].std() == pytest.approx(abs(answer.pitch[0, 0]), rel=1e-6)
+    way = passage(np.arange(0, 100, 0.7), 1.1, 4.0)
+    sea = jonswap_sea(1.0, 5.0, 0.2, 7)
+    whole = moved(sea, BOAT, way)
+    for part in (slice(0, 1), slice(40, 43), slice(99, None)):
+        piece = moved(sea, BOAT, Passage(*(getattr(way, name)[part] for name in Passage.__annotations__)))
+        np.testing.assert_array_equal(piece.heave_m, whole.heave_m[part])
+        np.testing.assert_array_equal(piece.angles_rad, whole.angles_rad[part])
+    times = np.arange(50.0)
+    way = passage(times)
+    one, same, other = (jonswap_sea(1.0, 6.0, 0.0, seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.phases_rad, same.phases_rad)
+    assert (one.elevation_m(times, way.positions_m) != other.elevation_m(times, way.positions_m)).all()
+    both = floating.FloatingVessels(one, {"a": BOAT, "b": BOAT})
+    np.testing.assert_array_equal(both.motion("a", way).heave_m, both.motion("b", way).heave_m)
 
 
 @settings(max_examples=40)
@@ -139,14 +163,6 @@ def test_no_wave_moves_a_hull_by_much_more_than_itself_but_at_resonance(relative
     found = response(Hull(length, beam), w, encounter[None], np.array([relative]))
     assert np.isfinite(found.heave).all() and np.isfinite(found.roll).all() and np.isfinite(found.pitch).all()
     assert abs(found.heave).max() < 5
-
-
-def test_motions_lag_behind_the_wave_whichever_overtakes_the_other():
-    """The phase falls with time as e^(−i ω_e t), so that a lag is a positive angle where ω_e is positive."""
-    for encounter in (1.2, -1.2):
-        found = response(Hull(10, 4), np.array([1.0]), np.array([[encounter]]), np.array([np.pi / 2]))
-        for lag in np.angle([found.heave[0, 0], 1j * found.roll[0, 0]]) * np.sign(encounter):
-            assert 0 < lag < np.pi
 
 
 @pytest.mark.parametrize(("relative", "sign"), [(np.pi, 1), (0.0, -1)])
@@ -163,37 +179,6 @@ def test_motion_peaks_at_the_frequency_of_encounter(relative, sign):
     frequencies = 2 * np.pi * np.fft.rfftfreq(len(times), 0.5)
     assert frequencies[np.convolve(power, np.ones(5), "same").argmax()] == pytest.approx(met, rel=0.06)
     assert abs(met - peak) > 0.2 * peak
-
-
-def test_hull_answers_at_the_frequency_of_encounter():
-    """Head seas of 4 s at 6 m/s: met at ω + k U."""
-    sea, speed = one_wave(4.0), 6.0
-    w, k = sea.frequencies_rad_s, sea.wave_numbers_rad_m
-    met = w + k * speed
-    motion = moved(sea, BOAT, passage(np.linspace(0, 2 * np.pi / met[0], 40, endpoint=False), np.pi, speed))
-    answer = response(BOAT, w, met[None], np.array([np.pi]))
-    assert np.sqrt(2) * motion.heave_m.std() == pytest.approx(abs(answer.heave[0, 0]), rel=1e-6)
-    assert np.sqrt(2) * motion.angles_rad[:, 1].std() == pytest.approx(abs(answer.pitch[0, 0]), rel=1e-6)
-
-
-def test_motion_of_a_moment_does_not_depend_on_the_others():
-    way = passage(np.arange(0, 100, 0.7), 1.1, 4.0)
-    sea = jonswap_sea(1.0, 5.0, 0.2, 7)
-    whole = moved(sea, BOAT, way)
-    for part in (slice(0, 1), slice(40, 43), slice(99, None)):
-        piece = moved(sea, BOAT, Passage(*(getattr(way, name)[part] for name in Passage.__annotations__)))
-        np.testing.assert_array_equal(piece.heave_m, whole.heave_m[part])
-        np.testing.assert_array_equal(piece.angles_rad, whole.angles_rad[part])
-
-
-def test_seed_decides_the_sea_and_vessels_in_one_place_move_alike():
-    times = np.arange(50.0)
-    way = passage(times)
-    one, same, other = (jonswap_sea(1.0, 6.0, 0.0, seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one.phases_rad, same.phases_rad)
-    assert (one.elevation_m(times, way.positions_m) != other.elevation_m(times, way.positions_m)).all()
-    both = floating.FloatingVessels(one, {"a": BOAT, "b": BOAT})
-    np.testing.assert_array_equal(both.motion("a", way).heave_m, both.motion("b", way).heave_m)
 
 
 SWELL = {"spectrum": "jonswap", "significant_height_m": 1.5, "peak_period_s": 6, "direction_rad": 0.5}
@@ -235,7 +220,7 @@ def test_vessels_and_their_cameras_heave_together_however_steps_are_split(tmp_pa
     assert not own.angles_rad[:, 1].any() and every.angles_rad[:, 1].all(axis=0)[:2].all()
 
 
-def test_camera_that_a_vessel_reaches_in_waves_alone_is_refused(tmp_path):
+def test_a_camera_that_a_vessel_reaches_in_waves_alone_is_refused_and_seas_that_cannot_be_are_named(tmp_path):
     path = own_ship_scene(tmp_path, {**SWELL, "apply_to": "all"})
     data = json.loads(path.read_text())
     data["cameras"]["C0"]["pose"]["position_m"] = [90, -15, 3.2]  # 0.2 m above the other's roof
@@ -244,9 +229,6 @@ def test_camera_that_a_vessel_reaches_in_waves_alone_is_refused(tmp_path):
         load_scene(path)
     path.write_text(json.dumps({**data, "waves": SWELL}))
     load_scene(path)
-
-
-def test_seas_that_cannot_be_are_named(tmp_path):
     for waves, said in (
         ({**SWELL, "level": "small"}, "exactly one of level"),
         ({"spectrum": "jonswap"}, "needs significant_height_m; spectrum: jonswap needs peak_period_s"),
