@@ -14,7 +14,7 @@ from modsim3d.render.id_pass import Region
 from modsim3d.truth import outlines as outlines_module
 from modsim3d.truth.buffer_drawing import subdivided, triangles_of, within_guard
 from modsim3d.truth.scan_conversion import _on_grid, scan_convert
-from modsim3d.truth.silhouettes import _Edges, cut_faces, cut_near, edges_of, spans_of_ids, winding_spans
+from modsim3d.truth.silhouettes import _Edges, cut_faces, cut_near, doubled_areas, edges_of, spans_of_ids, winding_spans
 from modsim3d.world.mesh_reading import load_mesh
 from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel

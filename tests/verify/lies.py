@@ -136,6 +136,7 @@ def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
 
 TWICE, CAMERAS = "box errors: none comes twice", "box errors: correlation between cameras"
 EARLIER = "box errors: correlation with earlier times"
+ORDERED, FALSE = "confidence: correlation with earlier times", "false positives: variance over mean in"
 
 LIES: dict[str, tuple[Lie, set[str]]] = {
     "same errors in both cameras": (same_errors_in_both_cameras, {TWICE, CAMERAS}),
@@ -145,21 +146,12 @@ LIES: dict[str, tuple[Lie, set[str]]] = {
     "same errors in an image": (of_each(same_errors_in_an_image), {TWICE, "box errors: correlation within images"}),
     "larger and larger errors": (of_each(larger_and_larger_errors), {"box errors: order in time"}),
     "same misses in both cameras": (same_misses_in_both_cameras, {"misses: correlation between cameras"}),
-    "confidence in order": (
-        of_each(confidence_in_order, within_s=np.inf),
-        {"confidence: order in time", "confidence: correlation with earlier times"},
-    ),
-    "confidence in order within minutes": (
-        of_each(confidence_in_order, within_s=60),
-        {"confidence: correlation with earlier times"},
-    ),
+    "confidence in order": (of_each(confidence_in_order, within_s=np.inf), {"confidence: order in time", ORDERED}),
+    "confidence in order within minutes": (of_each(confidence_in_order, within_s=60), {ORDERED}),
     "even false positives": (
         of_each(false_positives_at, places=lambda count: (np.arange(count) + 0.5) / count),
-        {"false positives: variance over mean in stretches"},
+        {f"{FALSE} stretches"},
     ),
-    "false positives in threes": (
-        of_each(false_positives_at, places=in_threes),
-        {"false positives: variance over mean in images"},
-    ),
+    "false positives in threes": (of_each(false_positives_at, places=in_threes), {f"{FALSE} images"}),
 }
 """Each lie, and the checks that must find it."""

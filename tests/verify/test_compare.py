@@ -50,7 +50,18 @@ def whole(tmp_path_factory):
     return SimpleNamespace(status=status, figures=figures, page=page, said=re.sub(r"\s+", " ", said.getvalue()))
 
 
-def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_the_scene(whole):
+def test_every_difference_in_a_scene_is_explained_and_page_and_terminal_say_what_the_file_says(whole):
+    found, said, page = whole.figures, whole.said, whole.page
+    assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
+    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
+    assert "UNEXPLAINED 0" in said and "compare.json" in said
+    assert not re.search(r"https?://|\bsrc=\"(?!data:)|\bhref=(?!\"#)|<script|<link|@import|url\(", page)
+    pictures = re.findall(r'<img src="data:image/png;base64,([A-Za-z0-9+/=]+)"', page)
+    assert len(pictures) == page.count("<img") == 3 + 1  # and the rule's worst mistake
+    assert all(picture.startswith("iVBORw0KGgo") and len(picture) > 2000 for picture in pictures)
+    for word in ("Rendered against drawn and analytic", "rectangle rule", "UNEXPLAINED"):
+        assert word in page
+    assert " ms" not in page and "Time per frame" not in page  # the same input gives the same bytes
     found = whole.figures
     assert whole.status == 0 and found["unexplained"] == 0 and found["steps"] == found["frames"] == 12
     # The ship is there for eleven of the twelve steps and in the image for some of them.
@@ -74,20 +85,6 @@ def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_t
     assert wrong > 0  # the ship lies askew: its box hides more of the sail than it does itself
 
 
-def test_page_and_terminal_say_the_same_as_the_file_and_the_page_shows_the_largest_differences(whole):
-    found, said, page = whole.figures, whole.said, whole.page
-    assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
-    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
-    assert "UNEXPLAINED 0" in said and "compare.json" in said
-    assert not re.search(r"https?://|\bsrc=\"(?!data:)|\bhref=(?!\"#)|<script|<link|@import|url\(", page)
-    pictures = re.findall(r'<img src="data:image/png;base64,([A-Za-z0-9+/=]+)"', page)
-    assert len(pictures) == page.count("<img") == 3 + 1  # and the rule's worst mistake
-    assert all(picture.startswith("iVBORw0KGgo") and len(picture) > 2000 for picture in pictures)
-    for word in ("Rendered against drawn and analytic", "rectangle rule", "UNEXPLAINED"):
-        assert word in page
-    assert " ms" not in page and "Time per frame" not in page  # the same input gives the same bytes
-
-
 @pytest.mark.parametrize(
     ("options", "steps"), [(["--every", 5], 3), (["--steps", 4], 4), (["--steps", 7, "--every", 3], 3), ([], 12)]
 )
@@ -106,9 +103,7 @@ def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, 
     assert looked_at == list(range(0, named.get("--steps", 12), named.get("--every", 1)))
 
 
-def test_blocks_of_steps_change_nothing_and_supersampling_brings_boxes_nearer_to_exact_ones(
-    monkeypatch, tmp_path, scene, whole
-):
+def test_blocks_of_steps_change_nothing_and_supersampling_brings_boxes_nearer(monkeypatch, tmp_path, scene, whole):
     monkeypatch.setattr(compare, "BLOCK_STEPS", 5)
     parts = figures_of(monkeypatch, tmp_path / "b", scene)[1]
     own = {key: whole.figures[key] for key in ("ms_per_frame", "scene")}  # a scene has the name of its folder
@@ -197,7 +192,7 @@ def behind_is_before(outlines):
     return replace(outlines, parts=(replace(part, vertices_camera=part.vertices_camera * (turned / depth)[..., None]),))
 
 
-def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_path, capsys):
+def test_intersecting_boxes_are_named_and_a_campaign_writes_the_same_bytes_again(monkeypatch, tmp_path, capsys):
     boats = {
         "rafted1": ([12, 4, 3], [[0, 100, -5], [10, 100, 5]]),
         "rafted2": ([12, 4, 5], [[0, 101, -5], [10, 101, 5]]),
@@ -208,6 +203,17 @@ def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_p
     assert found["visible_box"]["verdicts"][EXPLANATIONS[Agreement.INTERSECTING]] == 8
     assert found["visible_at_all_differs"] == 0 and "rafted1 and rafted2" in capsys.readouterr().out
     assert "rafted1 and rafted2" in (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    in_this_process = nullcontext(SimpleNamespace(map=map))
+    for name, pool in (("a", campaign.ProcessPoolExecutor), ("b", lambda *_: in_this_process)):
+        line = ["compare.py", "--scenes", "2", "--processes", "1", "--out", str(tmp_path / name)]
+        monkeypatch.setattr(sys, "argv", line)
+        monkeypatch.setattr(campaign, "ProcessPoolExecutor", pool)
+        assert campaign.main() == 0
+    for file in ("compare.json", "compare.md"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    found = json.loads((tmp_path / "a" / "compare.json").read_text())["supersample"]
+    assert {factor: column["scenes"] for factor, column in found.items()} == {"1": 2, "4": 2}
+    assert all(sum(column["full"].values()) == column["vessel_frames"] > 0 for column in found.values())
 
 
 def test_scene_that_is_wrong_or_not_there_is_exit_status_two(monkeypatch, tmp_path, scene, capsys):
@@ -223,20 +229,6 @@ def test_scene_that_is_wrong_or_not_there_is_exit_status_two(monkeypatch, tmp_pa
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.rglob("*"))
     assert call(monkeypatch, "check", "truth", scene, "--steps", 2) == 0 and sorted(tmp_path.rglob("*")) == before
-
-
-def test_campaign_writes_the_same_bytes_again(monkeypatch, tmp_path):
-    in_this_process = nullcontext(SimpleNamespace(map=map))
-    for name, pool in (("a", campaign.ProcessPoolExecutor), ("b", lambda *_: in_this_process)):
-        line = ["compare.py", "--scenes", "2", "--processes", "1", "--out", str(tmp_path / name)]
-        monkeypatch.setattr(sys, "argv", line)
-        monkeypatch.setattr(campaign, "ProcessPoolExecutor", pool)
-        assert campaign.main() == 0
-    for file in ("compare.json", "compare.md"):
-        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-    found = json.loads((tmp_path / "a" / "compare.json").read_text())["supersample"]
-    assert {factor: column["scenes"] for factor, column in found.items()} == {"1": 2, "4": 2}
-    assert all(sum(column["full"].values()) == column["vessel_frames"] > 0 for column in found.values())
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -1,5 +1,4 @@
-"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing:
-of order, of near and far, of one vessel's corners, or of the near plane."""
+"""`modsim3d check truth` finds an error planted in a source, in both or in the drawing: order, corners, near plane."""
 
 import json
 from dataclasses import replace

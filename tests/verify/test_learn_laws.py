@@ -1,9 +1,12 @@
-"""The laws that measured numbers are held against, each against a slow and obvious one."""
+"""The laws that measured numbers are held against, with tail probabilities, intervals and noticeable changes."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
 from modsim3d.core.boxes import inside_image, move
@@ -11,13 +14,18 @@ from modsim3d.detector.confidence import clipped_score
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.truncation import ordered_root
+from modsim3d.verify import measures
 from modsim3d.verify.box_error_checks import latent_paths, replayed_errors
 from modsim3d.verify.class_checks import inflation, lag_pairs
 from modsim3d.verify.confidence_checks import Clipped
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step, fitted_law
 from modsim3d.verify.error_parameters import ErrorParameters, directions
 from modsim3d.verify.figures import expected_run_lengths
+from modsim3d.verify.independence_checks import Strongest, SumDrift
+from modsim3d.verify.measures import AMOUNT, CORRELATION, SHARE, DiscoveryRate, Estimate, Exact, ImageRate, Rate
+from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Law, Occupancy, Parameter, judge
 from modsim3d.verify.verification import occupancy_law
+from modsim3d.verify.verify_run import conclusion
 from tests.detector_variants import thesis_data
 
 IMAGE_PX = (3600, 2400)
@@ -68,11 +76,27 @@ def test_truncated_moments_are_those_of_draws_that_count(name, box):
     np.testing.assert_array_less(np.abs(first.mean(axis=0) - values.mean(axis=0)), tolerance + 1e-3)
 
 
-def test_ordered_root_is_a_root_also_of_a_singular_covariance():
+def test_ordered_roots_lag_pairs_quantiles_and_the_shared_level_are_those_of_a_slow_way():
     covariance = np.outer([2.0, 0, 3, 1], [2.0, 0, 3, 1]) + np.diag([0, 0, 1.0, 0])
     root = ordered_root(covariance)
     order = np.array([2, 3, 0, 1])
     np.testing.assert_allclose(root @ root.T, covariance[order[:, None], order], atol=1e-9)
+    rng = np.random.default_rng(5)
+    tracks, times = rng.integers(0, 3, (40, 1)), rng.random(40) * 10
+    parts = (zip(later.tolist(), earlier.tolist(), strict=True) for later, earlier, _ in lag_pairs(tracks, times, 0.3))
+    near = (tracks == tracks[:, 0]) & (times[:, None] > times) & (times[:, None] - times <= 3.0)
+    assert set(itertools.chain.from_iterable(parts)) == {*map(tuple, np.argwhere(near).tolist())}
+    rng = np.random.default_rng(1)
+    quantiles = np.array([0.2, 0.2, 0.5, 0.9, 1.0])
+    values = np.interp(rng.random((200, 300)), np.linspace(0, 1, 5), quantiles)
+    assert 0 <= np.mean([Law.of(each, quantiles).p_value() < 0.05 for each in values]) < 0.1
+    assert Law.of(rng.random(300), quantiles).p_value() < 1e-4
+    some = [Parameter(f"p{i}", "group", Rate(10, 100, 0.1)) for i in range(49)]
+    off = Parameter("off", "group", Rate(35, 100, 0.1))
+    verification = judge([*some, off, Parameter("unseen", "group", None, 0.3)])
+    assert verification.alpha == pytest.approx(0.01 / 50)
+    assert [v.verdict for v in verification.verdicts[-2:]] == [DIFFERS, UNTESTED] and not verification.obeys
+    assert verification.cause.parameter is off
 
 
 @pytest.mark.parametrize("parameter", range(14))
@@ -120,7 +144,7 @@ def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error(name):
     assert np.abs(z.mean(axis=0)).max() < 4.2 / np.sqrt(40) and np.abs(z.std(axis=0) - 1).max() < 4.2 / np.sqrt(80)
 
 
-def test_the_fit_finds_a_law_that_is_another_than_the_one_asked_for():
+def test_the_fit_finds_another_law_and_replayed_errors_have_the_truncated_one():
     law = law_of()
     true = law_of(mean=law.mean + 0.4 * law.std, std=law.std * [1.5, 1, 1, 1])
     (sample,) = samples_of(true, 400, 1)
@@ -128,10 +152,6 @@ def test_the_fit_finds_a_law_that_is_another_than_the_one_asked_for():
     found, errors = fitted_law(law, fit, sample), fit.errors[:4] * law.std
     np.testing.assert_array_less(np.abs(found.mean - true.mean), 5 * errors)
     assert found.std[0] == pytest.approx(true.std[0], rel=0.15)
-
-
-def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
-    law = law_of()
     frames = 40
     boxes = np.tile(BOXES_PX[1], (frames, 1))
     sample = StateErrors(np.zeros((frames, 4)), np.arange(frames), boxes, np.tile([3600.0, 2400], (frames, 1)))
@@ -143,7 +163,7 @@ def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
     np.testing.assert_allclose(lagged, np.exp(-0.2), atol=0.06)
 
 
-def test_clipped_scores_are_derivatives_of_the_likelihood():
+def test_clipped_scores_are_derivatives_and_occupancy_and_inflation_laws_those_of_every_path():
     def likelihood(mean: float, std: float) -> np.ndarray:
         low, high = stats.norm.logcdf((0.2 - mean) / std), stats.norm.logsf((1 - mean) / std)
         inner = stats.norm.logpdf(scores, mean, std)
@@ -153,9 +173,6 @@ def test_clipped_scores_are_derivatives_of_the_likelihood():
     for column, (mean, std) in zip(clipped_score(scores, 0.65, 0.3, 0.2).T, ((h, 0), (0, h)), strict=True):
         slope = (likelihood(0.65 + mean, 0.3 + std) - likelihood(0.65 - mean, 0.3 - std)) / (2 * h)
         np.testing.assert_allclose(column, slope, rtol=1e-5)
-
-
-def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error():
     rng, z = np.random.default_rng(4), []
     hidden = rng.random(300)
     design = np.column_stack([np.ones(300), -hidden])
@@ -164,9 +181,6 @@ def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error
         z.append([measure.z for measure in Clipped(scores, design, 0.2).measures(np.array([0.85, 0.4]), 0.25)])
     z = np.array(z)
     assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(40) and np.abs(z.std(axis=0) - 1).max() < 4 / np.sqrt(80)
-
-
-def test_occupancy_law_is_that_of_every_path():
     transitions = np.array([1, 0, 2, 1, 1])
     matrix, expected = MODEL.transition_matrix, np.zeros(len(transitions) + 2)
     for path in itertools.product(range(4), repeat=len(transitions)):
@@ -175,17 +189,6 @@ def test_occupancy_law_is_that_of_every_path():
             chance *= np.linalg.matrix_power(matrix, steps)[after, before]
         expected[sum(state == 1 for state in states)] += chance
     np.testing.assert_allclose(occupancy_law(MODEL, 1, transitions, start=0), expected, atol=1e-12)
-
-
-def test_lag_pairs_are_all_pairs_of_a_track_that_are_near():
-    rng = np.random.default_rng(5)
-    tracks, times = rng.integers(0, 3, (40, 1)), rng.random(40) * 10
-    parts = (zip(later.tolist(), earlier.tolist(), strict=True) for later, earlier, _ in lag_pairs(tracks, times, 0.3))
-    near = (tracks == tracks[:, 0]) & (times[:, None] > times) & (times[:, None] - times <= 3.0)
-    assert set(itertools.chain.from_iterable(parts)) == {*map(tuple, np.argwhere(near).tolist())}
-
-
-def test_inflation_of_a_rate_that_persists_is_that_of_a_kept_uniform():
     frames, keep = 400, np.exp(-0.1 / 1.0)
     rng, counts = np.random.default_rng(6), []
     for _ in range(2000):
@@ -210,3 +213,134 @@ def test_run_lengths_expected_are_those_of_every_outcome(keep):
             for run in track.split("0"):
                 expected[len(run)] += weight
     np.testing.assert_allclose(expected_run_lengths(chance, again, before, 6), expected[1:], atol=1e-12)
+
+
+def test_intervals_are_clopper_and_pearsons_and_garwoods_and_wider_for_fewer_effective_trials():
+    # 10 of 100 at 95 %: 0.0490, 0.1762, e.g. Newcombe (1998), Statistics in Medicine 17, 857-872.
+    np.testing.assert_allclose(Rate(10, 100, 0.1).interval(0.05), (0.0490, 0.1762), atol=5e-5)
+    # 10 events at 95 %: 4.795, 18.390, Garwood (1936), Biometrika 28, 437-442.
+    np.testing.assert_allclose(measures.poisson_interval(10, 0.05), (4.795, 18.390), atol=5e-4)
+    low, high = ImageRate(false=40, images=100, asked=0.4).interval(0.05)
+    np.testing.assert_allclose((low * 100, high * 100), measures.poisson_interval(40, 0.05))
+    assert ImageRate(40, 100, 0.4).p_value() == 1 and ImageRate(80, 100, 0.4).p_value() < 1e-6
+    alone, together = Rate(100, 1000, 0.1).interval(0.01), Rate(100, 1000, 0.1, inflation=4).interval(0.01)
+    assert together[1] - together[0] == pytest.approx(2 * (alone[1] - alone[0]), rel=0.05)
+
+
+@given(st.integers(0, 200), st.integers(1, 200), st.floats(0.01, 0.99), st.floats(1e-4, 0.2))
+def test_a_rate_fails_just_where_its_interval_leaves_the_asked_value_out(hits, more, asked, alpha):
+    measure = Rate(hits, hits + more, asked)
+    low, high = measure.interval(alpha)
+    if min(abs(asked - low), abs(asked - high)) > 1e-9:
+        assert (measure.p_value() < alpha) == (not low <= asked <= high)
+
+
+@given(st.floats(-4, 4), st.floats(-0.5, 0.5) | st.floats(1.1, 9) | st.floats(-9, -1.1), st.floats(1e-4, 0.2))
+def test_an_estimate_fails_just_where_its_interval_leaves_the_asked_value_out(z, skewness, alpha):
+    measure = Estimate(measured=5 + z, asked=5.0, error=1.0, count=10, skewness=skewness)
+    low, high = measure.interval(alpha)
+    if min(abs(5 - low), abs(5 - high)) > 1e-6:
+        assert (measure.p_value() < alpha) == (not low <= 5 <= high)
+
+
+@pytest.mark.parametrize("trials, asked", [(400, 0.133), (2000, 0.0085), (50, 0.99), (3000, 0.381)])
+def test_a_rate_notices_its_smallest_change_nine_times_in_ten(trials, asked):
+    alpha = 1e-4
+    below, above = Rate(0, trials, asked).noticed(alpha)
+    rejected = np.array([Rate(k, trials, asked).p_value() < alpha for k in range(trials + 1)])
+    for change, rate in ((above, asked + (above or 0)), (below, asked - (below or 0))):
+        if change is not None:
+            assert stats.binom.pmf(np.arange(trials + 1), trials, rate)[rejected].sum() == pytest.approx(0.9, abs=0.01)
+
+
+def test_a_false_discovery_rate_notices_its_smallest_change_nine_times_in_ten():
+    alpha, true, asked, counts = 1e-4, 1500, 0.089, np.arange(400)
+    expected = true * asked / (1 - asked)
+    below, above = DiscoveryRate(0, true, expected).noticed(alpha)
+    rejected = np.array([DiscoveryRate(k, true, expected).p_value() < alpha for k in counts])
+    for rate in (asked - below, asked + above):
+        assert stats.poisson.pmf(counts, true * rate / (1 - rate))[rejected].sum() == pytest.approx(0.9, abs=0.01)
+
+
+@given(st.integers(20, 2000), st.floats(-3.5, 4.5))
+def test_skewed_tails_are_exact_for_a_sample_variance(n, z):
+    # The sum of n squared normal numbers has mean n, variance 2n and skewness √(8/n).
+    below, above = measures.skewed_tails(z, (8 / n) ** 0.5)
+    expected = stats.chi2.sf(n + z * (2 * n) ** 0.5, n)
+    assert above == pytest.approx(expected, rel=1e-6, abs=1e-12) and below + above == pytest.approx(1)
+
+
+@given(st.tuples(st.floats(1e-6, 0.4), st.floats(-0.8, 0.8)) | st.tuples(st.floats(1e-6, 0.3), st.floats(1.01, 30)))
+def test_quantile_undoes_the_tail_also_of_rare_events(case):
+    tail, skewness = case
+    assert measures.skewed_tails(measures.skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
+    if skewness > 1:  # that none happens is likelier than any such tail
+        assert measures.skewed_quantile(tail, -skewness) == math.inf
+
+
+@pytest.mark.parametrize("mean", [0.9, 0.05, 1e-6])
+def test_tails_of_rare_events_are_those_of_a_poisson_number(mean):
+    skewness = mean**-0.5
+    for count in range(1, 5):
+        below, above = measures.skewed_tails((count - mean) * skewness, skewness)
+        assert above == pytest.approx(stats.poisson.sf(count - 1, mean), rel=1e-6)
+        assert below == pytest.approx(stats.poisson.cdf(count, mean), rel=1e-6)
+    for z in (-mean / mean**0.5, -mean / mean**0.5 - 1e-3):  # none, and as much as that by rounding
+        assert measures.skewed_tails(z, skewness)[0] == pytest.approx(math.exp(-mean))
+        assert measures.skewed_tails(-z, -skewness)[1] == pytest.approx(math.exp(-mean))
+
+
+@pytest.mark.parametrize(
+    ("measure", "interval"),
+    [
+        (Estimate(0.004, 0.006, 0.01, 300, possible=SHARE), "[0, 0.0"),
+        (Estimate(0.944, 0.925, 0.04, 300, -0.3, possible=SHARE), "1]"),
+        (Estimate(0.003, 0.006, 0.01, 300, 5.0, possible=SHARE), "1]"),  # ∞ without what is possible
+        (Estimate(0.95, 0.8, 0.09, 90, possible=CORRELATION), "1]"),
+        (Estimate(1.02, 1.0, 1.2, 40, possible=AMOUNT), "[0, "),
+        (Estimate(1.3, 0.7, 0.2, 90, possible=CORRELATION), "1]"),
+        (SumDrift(0.01, 100.0), "[0, "),
+        (Rate(1, 40, 0.05), "[0"),
+        (ImageRate(0, 30, 0.1), "[0, "),
+    ],
+)
+def test_intervals_and_what_is_noticed_are_cut_to_what_is_possible(measure: measures.Measure, interval: str) -> None:
+    (verdict,) = judge([Parameter("p", "group", measure)]).verdicts
+    low, high = getattr(measure, "possible", AMOUNT)
+    assert verdict.interval is not None and verdict.measured is not None
+    assert low <= verdict.interval[0] <= verdict.measured <= verdict.interval[1] <= high
+    assert interval in f"[{verdict.interval[0]:g}, {verdict.interval[1]:g}]"
+    below, above = verdict.noticed
+    assert below is None or measure.asked - below >= low - 1e-6
+    assert above is None or measure.asked + above <= high + 1e-6
+
+
+def test_what_no_violation_would_have_changed_is_too_little_seen_and_only_entries_are_causes():
+    even = np.full(400, 1 / 400)
+    for measure, verdict in (
+        (Rate(1, 2, 0.92), UNTESTED),
+        (Rate(1, 1, 0.7), UNTESTED),
+        (Rate(45, 50, 0.92), OBEYS),
+        (Rate(0, 2, 0.999), DIFFERS),  # two misses where one in a thousand was asked for
+        (Estimate(0.9, 0.5, 0.4, 12, possible=SHARE), UNTESTED),
+        (Estimate(0.9, 0.0, 0.2, 12, possible=CORRELATION), DIFFERS),
+        (Strongest(0.3, 0.0, 0.5, 9, trials=20, possible=CORRELATION), UNTESTED),
+        (Occupancy(1, np.array([0.3, 0.7])), UNTESTED),
+        (Occupancy(0, even), DIFFERS),
+        (Occupancy(200, even), OBEYS),
+        (Exact(0, 0), UNTESTED),
+        (Exact(0, 3), OBEYS),
+        (Exact(1, 3), DIFFERS),
+        (Law(0.4, 4), UNTESTED),
+    ):
+        found = judge([Parameter("p", "group", measure)])
+        assert [each.verdict for each in found.verdicts] == [verdict], measure
+        nothing = "The run obeys its detector file: nothing in 0 tests speaks against it."
+        assert (conclusion(found) == nothing) == (verdict == UNTESTED)
+        assert found.obeys == (verdict != DIFFERS)
+    follows = Parameter("overall", "group", Rate(900, 1000, 0.1), in_file=False)
+    entry = Parameter("entry", "group", Rate(35, 100, 0.1))
+    assert judge([follows, entry]).cause.parameter is entry and judge([follows]).cause.parameter is follows
+    rule = Parameter("fdr", "group", DiscoveryRate(0, 5000, 0.0), 0.089, promised=0.089)
+    fine = Parameter("fdr", "group", DiscoveryRate(480, 5000, 490), 0.089, promised=0.089)
+    assert [v.verdict for v in judge([rule, fine]).verdicts] == [FALLS_SHORT, OBEYS] and judge([rule]).obeys
