@@ -139,7 +139,7 @@ def campaign(readers: list[str], first: int, most: int | None, processes: int) -
 
 def keep_failed(found: dict[str, dict[str, Any]]) -> None:
     """Keep an input of each cause of failure, so that the tests try it from now on."""
-    from tests.fuzz.kept import keep
+    from tests.fuzz.cases import keep
 
     for name, row in found.items():
         for cause in row["causes"]:

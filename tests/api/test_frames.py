@@ -1,10 +1,13 @@
-"""Frames: their time, classes and tables, and what `supervision` takes of them."""
+"""Frames: time, classes, tables and what `supervision` takes; a user's code passes `mypy --strict`."""
 
 import importlib.util
+import os
+import subprocess
 import sys
 import types
 import warnings
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,14 +84,11 @@ def test_class_id_is_the_place_of_the_label_in_the_detectors(tmp_path):
             assert tuple(scene.detector.labels[i] for i in part.class_id) == part.labels
 
 
-def test_the_tables_of_all_frames_are_the_table_of_the_run(frames, folder):
+def test_the_tables_of_all_frames_are_those_of_the_run_and_one_that_is_not_there_is_named(frames, folder):
     for name in ("frames", "truth", "detections"):
         table = modsim3d.open_run(folder).table(name)
         assert isinstance(table, pa.Table) and len(table) > len(frames) - 1, name
         assert pa.concat_tables([frame.table(name) for frame in frames]).equals(table), name
-
-
-def test_a_table_or_frame_that_is_not_there_is_named(frames, folder):
     run = modsim3d.open_run(folder)
     for part in (frames[0], run):
         with pytest.raises(ModsimError, match=r"there is no table 'truths'.* \(did you mean 'truth'\?\)"):
@@ -131,3 +131,57 @@ def test_without_supervision_one_is_told_what_to_install(frames, monkeypatch, na
     monkeypatch.setitem(sys.modules, "supervision", None)
     with pytest.raises(ModsimError, match=r"pip install 'modsim3d\[supervision\]'"):
         getattr(frames[0], name)()
+
+
+USER = """
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import modsim3d
+
+
+def boxes(name: str) -> list[NDArray[np.float64]]:
+    scene: modsim3d.Scene = modsim3d.load_scene(name, steps=2, detector=Path("thesis"))
+    return [frame.detections.boxes_px for frame in modsim3d.simulate_frames(scene)]
+
+
+def detected(scene: modsim3d.Scene) -> int:
+    result = modsim3d.run_scene(scene, "runs/a")
+    run = modsim3d.open_run(result.folder)
+    other = modsim3d.detect_run(run, Path("runs/b"), detector="thesis", seed=7)
+    good: bool = modsim3d.verify_run("runs/b").obeys and modsim3d.verify_run(run).obeys
+    labels: tuple[str, ...] = modsim3d.load_detector("thesis").labels
+    learned = modsim3d.learn_detector(truth="gt.json", detections=["dt.json"], match="centre")
+    learned.write(Path("learned.yaml"), overwrite=good)
+    seconds: float = next(run.frames()).time_s + len(labels) + len(modsim3d.__version__)
+    return result.counts.detected + other.counts.detected + int(seconds)
+"""
+WRONG = {
+    "modsim3d.load_scen('strait')\n": 'Module has no attribute "load_scen"',
+    "modsim3d.load_scene(3)\n": 'has incompatible type "int"',
+    "modsim3d.learn_detector(run='runs/a', match='iou')\n": "has incompatible type \"Literal['iou']\"",
+}
+SETTINGS = """
+[mypy]
+strict = true
+follow_imports = skip
+[mypy-modsim3d.*,numpy.*]
+follow_imports = silent
+"""
+"""The package's own modules are not reported on, as those of an installed one. Its other dependencies, most of what
+there is to read, are left out: nothing that a user writes here has a type of theirs."""
+
+
+def test_strict_types_hold_for_a_user(tmp_path: Path) -> None:
+    wrong = "import modsim3d\n\n" + "".join(WRONG)
+    for name, text in (("user.py", USER), ("wrong.py", wrong), ("mypy.ini", SETTINGS)):
+        (tmp_path / name).write_text(text)
+    paths = {**os.environ, "MYPYPATH": str(Path(modsim3d.__file__).parents[1])}
+    command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--cache-dir", "cache", "user.py", "wrong.py"]
+    said = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=paths).stdout
+    found = [line for line in said.splitlines() if ": error:" in line]
+    assert [line for line in found if "wrong.py" not in line] == []
+    for number, words in enumerate(WRONG.values(), 3):
+        assert any(f"wrong.py:{number}:" in line and words in line for line in found), said

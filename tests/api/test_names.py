@@ -52,7 +52,7 @@ print([m for m in ("OpenGL", "matplotlib", "pyarrow", "supervision") if m in sys
 """
 
 
-def test_dir_lists_the_names_which_are_there_and_no_modules_and_others_are_attribute_errors() -> None:
+def test_dir_lists_the_names_which_are_there_and_import_loads_nothing_heavy_for_them():
     assert NAMES <= set(modsim3d.__all__) == set(dir(modsim3d)) - {"__version__"}
     assert all(getattr(modsim3d, name) is not None for name in dir(modsim3d))
     with pytest.raises(AttributeError, match="module 'modsim3d' has no attribute 'load_scen'"):
@@ -60,9 +60,6 @@ def test_dir_lists_the_names_which_are_there_and_no_modules_and_others_are_attri
     # Importing a module of the same name would put it in the place of the function.
     modules = {module.name for module in pkgutil.iter_modules(modsim3d.__path__)}
     assert {"learn", "verify"} <= modules and set(modsim3d.__all__) & modules == set()
-
-
-def test_import_loads_nothing_heavy_nor_does_simulation_in_memory_and_the_example_runs() -> None:
     assert subprocess.check_output([sys.executable, "-c", SIMULATES], text=True).splitlines() == ["[]", "[] 3"]
     assert tuple(doctest.testmod(modsim3d)) == (0, 3)
 
@@ -82,16 +79,13 @@ def public_parts() -> dict[str, object]:
 PARTS = public_parts()
 
 
-def test_what_is_reached_from_the_top_has_a_docstring_and_no_parameter_is_a_path_alone() -> None:
+def test_docstrings_begin_with_a_noun_or_a_verb_have_an_example_and_say_what_is_raised():
     """A path is taken as text or as any path object."""
     for name, part in PARTS.items():
         assert len(inspect.getdoc(part) or "") > 20, name
         parameters = inspect.signature(part).parameters if inspect.isfunction(part) else {}
         assert not any(re.search(r"\bPath\b", str(value.annotation)) for value in parameters.values()), name
-
-
-def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
-    """One that begins with `What`, `Which` and the like says little to who does not know already."""
+    # One that begins with `What`, `Which` and the like says little to who does not know already.
     asides = re.compile(r"(How|Of|The same|Those|What|Where|Which|Why)\b")
     texts = {
         f"{path.name}: {getattr(node, 'name', 'module')}": ast.get_docstring(node) or ""
@@ -100,30 +94,24 @@ def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
     }
     assert {name: text for name, text in texts.items() if asides.match(text)} == {}
-
-
-def test_every_public_name_is_in_the_reference_and_what_other_pages_show_is_in_them() -> None:
-    rows = set(re.findall(r"^\| `(modsim3d[\w.]*)` \|", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE))
-    own = {f"modsim3d.{name}" for name in modsim3d.__all__}
-    assert rows == own | {f"modsim3d.plugins.{name}" for name in set(plugins.__all__) - set(modsim3d.__all__)}
-    assert all(getattr(plugins, name) is not None for name in plugins.__all__)
-    pages = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("*.md") if path.name != "api.md")
-    assert [name for name in ELSEWHERE if not re.search(rf"\b{name}(\(|`)", pages)] == []
-
-
-def test_documents_show_no_name_at_an_internal_path() -> None:
-    """Names in rooms may move; docs/architecture.md is about the rooms themselves."""
-    rooms = "|".join(module.name for module in pkgutil.iter_modules(modsim3d.__path__) if module.name != "plugins")
-    pages = {DOCS.parent / "README.md", *DOCS.glob("*.md"), *DOCS.parent.glob("tests/*_example/*.py")}
-    pages.remove(DOCS / "architecture.md")
-    shown = {path.name: re.findall(rf"modsim3d\.(?:{rooms})\b", path.read_text(encoding="utf-8")) for path in pages}
-    assert len(pages) > 20 and {name: paths for name, paths in shown.items() if paths} == {}
-
-
-def test_a_functions_docstring_has_an_example_and_says_what_it_raises() -> None:
     for name in (name for name in modsim3d.__all__ if name[0].islower() and name not in ELSEWHERE):
         text = inspect.getdoc(getattr(modsim3d, name)) or ""
         assert "\nRaises:\n" in text and "TypeError:" in text, name
         tree = ast.walk(ast.parse(dedent(text.split("\n\n")[1])))
         used = {node.attr for node in tree if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "modsim3d"}
         assert name in used and used <= NAMES, name
+
+
+def test_every_public_name_is_in_the_reference_and_documents_show_none_at_an_internal_path():
+    rows = set(re.findall(r"^\| `(modsim3d[\w.]*)` \|", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE))
+    own = {f"modsim3d.{name}" for name in modsim3d.__all__}
+    assert rows == own | {f"modsim3d.plugins.{name}" for name in set(plugins.__all__) - set(modsim3d.__all__)}
+    assert all(getattr(plugins, name) is not None for name in plugins.__all__)
+    pages = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("*.md") if path.name != "api.md")
+    assert [name for name in ELSEWHERE if not re.search(rf"\b{name}(\(|`)", pages)] == []
+    # Names in rooms may move; docs/architecture.md is about the rooms themselves.
+    rooms = "|".join(module.name for module in pkgutil.iter_modules(modsim3d.__path__) if module.name != "plugins")
+    pages = {DOCS.parent / "README.md", *DOCS.glob("*.md"), *DOCS.parent.glob("tests/*_example/*.py")}
+    pages.remove(DOCS / "architecture.md")
+    shown = {path.name: re.findall(rf"modsim3d\.(?:{rooms})\b", path.read_text(encoding="utf-8")) for path in pages}
+    assert len(pages) > 20 and {name: paths for name, paths in shown.items() if paths} == {}

@@ -94,12 +94,15 @@ def test_a_name_in_place_of_a_scene_is_refused_at_once(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_shipped_detector_goes_by_its_name():
+def test_a_shipped_detector_goes_by_its_name_and_numbers_of_numpy_replace_those_of_a_scene():
     assert {"thesis", "rich", "conditions/foggy_cloudy"} <= set(shipped_detectors())
     for name, path in shipped_detectors().items():
         assert modsim3d.load_detector(name).labels == modsim3d.load_detector(path).labels
     scene = modsim3d.load_scene("simulation_1", detector="conditions/foggy_cloudy")
     assert [state.name for state in scene.detector.states] == ["foggy_cloudy"]
+    scene = modsim3d.load_scene("simulation_1", seed=np.int64(4), steps=np.int32(5), mode=np.uint8(2))
+    assert (scene.seed, scene.steps, scene.annotation.mode) == (4, 5, 2)
+    assert scene.sha256 == modsim3d.load_scene("simulation_1", seed=4, steps=5, mode=2).sha256
 
 
 def test_a_file_comes_before_the_shipped_detector_of_its_name_and_unknown_ones_get_the_nearest(tmp_path, monkeypatch):
@@ -113,9 +116,3 @@ def test_a_file_comes_before_the_shipped_detector_of_its_name_and_unknown_ones_g
         modsim3d.load_detector("thesi")
     with pytest.raises(InputError, match=r"detector my\.yaml:\n  no such file$"):
         modsim3d.load_detector("my.yaml")
-
-
-def test_numbers_of_numpy_replace_those_of_a_scene():
-    scene = modsim3d.load_scene("simulation_1", seed=np.int64(4), steps=np.int32(5), mode=np.uint8(2))
-    assert (scene.seed, scene.steps, scene.annotation.mode) == (4, 5, 2)
-    assert scene.sha256 == modsim3d.load_scene("simulation_1", seed=4, steps=5, mode=2).sha256

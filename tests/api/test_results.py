@@ -70,7 +70,7 @@ class Page(HTMLParser):
         self.text += data + " "
 
 
-def test_a_scene_is_three_lines(scene):
+def test_a_scene_is_three_lines_and_a_live_one_is_shown_without_waiting_for_its_steps(scene):
     first, second, third = repr(scene).splitlines()
     assert first.startswith(f"<Scene strait: {len(scene.vessels)} vessels (own, ferry,")
     assert first.endswith("2 cameras (bow, quay)")
@@ -81,8 +81,6 @@ def test_a_scene_is_three_lines(scene):
     assert all(name in third for name in (*states, *labels))
     assert all(len(line) < 140 for line in (first, second, third))
 
-
-def test_a_live_scene_is_shown_without_waiting_for_its_steps_and_names_are_escaped(scene):
     def steps():
         pytest.fail("a step was waited for")
         yield

@@ -1,4 +1,5 @@
 import ast
+import io
 import itertools
 import tracemalloc
 from collections import defaultdict
@@ -12,13 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import modsim3d
+from modsim3d.cli.terminal import open_console
+from modsim3d.cli.terminal_tables import print_document
+from modsim3d.core import document as blocks_of
 from modsim3d.core import random_streams
+from modsim3d.core.arrays import distinct, occurring, run_starts
+from modsim3d.core.document import Cell, Document, Heading, Table, Text, Where, shown
 from modsim3d.core.random_streams import Purpose, Streams, normals
+from modsim3d.view.pages.page import document_page
+from modsim3d.view.pages.provenance import Provenance
 
 UNIFORM = [purpose for purpose in Purpose if purpose.width is not None]
 
 
-def test_every_purpose_is_used_in_exactly_one_module() -> None:
+def test_every_purpose_is_used_in_exactly_one_module_and_shares_no_text():
     package, modules = Path(modsim3d.__file__).parent, defaultdict(set)
     for path in package.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -27,9 +35,6 @@ def test_every_purpose_is_used_in_exactly_one_module() -> None:
                 modules[Purpose[node.attr]].add(path.relative_to(package).as_posix())
     modules[Purpose.PLUGIN].add("a plug-in's")
     assert {purpose.name: sorted(modules[purpose]) for purpose in Purpose if len(modules[purpose]) != 1} == {}
-
-
-def test_two_purposes_share_neither_a_text_nor_what_they_are_for() -> None:
     texts = [purpose.value for purpose in Purpose]
     assert len(set(texts)) == len(texts) == len(Purpose.__members__)
     with pytest.raises(ValueError, match="duplicate"):
@@ -58,9 +63,7 @@ def test_a_purpose_has_one_width_and_a_seed_is_not_negative() -> None:
 
 
 @given(st.lists(st.integers(0, 60), max_size=6), st.sampled_from(UNIFORM), st.integers(0, 2**40))
-def test_a_step_has_the_same_numbers_in_parts_and_among_others(
-    borders: list[int], purpose: Purpose, first: int
-) -> None:
+def test_a_step_has_the_same_numbers_in_parts_and_among_others(borders: list[int], purpose, first: int) -> None:
     whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)
     streams, parts = Streams(3), []
     for a, b in itertools.pairwise([0, *sorted(borders), 60]):
@@ -70,24 +73,25 @@ def test_a_step_has_the_same_numbers_in_parts_and_among_others(
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-def test_a_row_starts_at_its_steps_blocks_of_philox() -> None:
+def test_a_row_starts_at_its_steps_blocks_of_philox_and_no_rows_or_steps_give_no_numbers():
     streams = Streams(3)
     numbers = streams.uniforms(Purpose.CLUTTER, "C0", first=7, count=2)
     key = streams._key(0, Purpose.CLUTTER, ("C0",))
     slow = [np.random.Generator(np.random.Philox(key=key, counter=2 * step)).random(5) for step in (7, 8)]
     assert np.array_equal(numbers, slow)
+    nothing, no_words = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)
+    assert Streams(3).uniforms_of(Purpose.CLASS, owners=["a"], owner=nothing, steps=nothing).shape == (0, 1)
+    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0).shape == (0, 3)
+    assert random_streams.uniforms(no_words.reshape(0, 2), no_words, no_words, 3, 5).shape == (0, 5)
 
 
-def test_another_seed_purpose_or_name_gives_other_numbers() -> None:
+def test_another_seed_purpose_or_name_gives_other_numbers_and_generators_are_repeatable():
     ours = Streams(3).uniforms(Purpose.CLASS, "a", "b", first=0, count=100)
     others = [(4, Purpose.CLASS, ("a", "b")), (3, Purpose.CLASS_KEPT, ("a", "b"))]
     others += [(3, Purpose.CLASS, names) for names in (("a",), ("b", "a"), ("ab",), ("a", "b", ""))]
     for seed, purpose, names in others:
         theirs = Streams(seed).uniforms(purpose, *names, first=0, count=100)
         assert not np.intersect1d(ours, theirs).size, (seed, purpose, names)
-
-
-def test_generators_are_repeatable_and_those_of_different_steps_do_not_overlap() -> None:
     streams = Streams(3)
     draws = [streams.generator(Purpose.AGENTS, "a", step=step).random(1000) for step in range(5)]
     assert len(np.unique(np.concatenate(draws))) == 5000
@@ -114,7 +118,7 @@ def test_numbers_of_many_streams_are_those_of_each(owners: int, span: int, at_on
     assert np.array_equal(ours, each)
 
 
-def test_few_numbers_are_drawn_beside_those_of_short_tracks_in_a_long_sequence() -> None:
+def test_few_numbers_are_drawn_beside_those_of_short_tracks_and_those_of_one_step_in_turn(monkeypatch):
     tracks, frames, long = 150, 2_000, 130
     random, names = np.random.default_rng(3), [f"vessel{index}" for index in range(tracks)]
     owner = np.repeat(np.arange(tracks), long)
@@ -124,22 +128,12 @@ def test_few_numbers_are_drawn_beside_those_of_short_tracks_in_a_long_sequence()
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 10 * numbers.nbytes
-
-
-def test_streams_of_one_step_are_drawn_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those of the few vessels of a live step: for so few numbers many at once take ten times as long."""
+    # As those of the few vessels of a live step: for so few numbers many at once take ten times as long.
     monkeypatch.setattr(random_streams, "uniforms", Mock(side_effect=AssertionError))
     names = [f"vessel{index}" for index in range(9)]
     for owner in (np.arange(9), np.array([4])):
         steps = np.full(len(owner), 2**40)
         assert len(Streams(3).uniforms_of(Purpose.CLASS, owners=names, owner=owner, steps=steps)) == len(owner)
-
-
-def test_no_rows_or_steps_give_no_numbers() -> None:
-    nothing, no_words = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)
-    assert Streams(3).uniforms_of(Purpose.CLASS, owners=["a"], owner=nothing, steps=nothing).shape == (0, 1)
-    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0).shape == (0, 3)
-    assert random_streams.uniforms(no_words.reshape(0, 2), no_words, no_words, 3, 5).shape == (0, 5)
 
 
 @pytest.mark.parametrize("times", [1, 9], ids=["mostly in turn", "mostly at once"])
@@ -192,3 +186,71 @@ def test_seeded_keys_are_those_of_numpy(seed: int, spawn_keys: list[tuple[int, .
     ours = random_streams.seeded_keys(seed, np.array(spawn_keys, dtype=np.uint32).T)
     numpys = [np.random.SeedSequence(seed, spawn_key=key).generate_state(2, np.uint64) for key in spawn_keys]
     np.testing.assert_array_equal(ours, numpys)
+
+
+@pytest.mark.parametrize("count", [0, 1, 40])
+def test_starts_of_runs_distinct_values_and_indices_that_occur_are_those_of_plain_python(count: int) -> None:
+    rng = np.random.default_rng(count)
+    (one, other), values, indices = (rng.integers(0, *shape) for shape in ((2, (2, count)), (9, count), (60, count)))
+    rows = list(zip(one.tolist(), other.tolist(), strict=True))
+    assert run_starts(one, other).tolist() == [i for i in range(count) if i == 0 or rows[i] != rows[i - 1]]
+    assert distinct(values).tolist() == sorted(set(values.tolist()))
+    occur = sorted(set(indices.tolist()))
+    assert [each.tolist() for each in occurring(indices, 60)] == [occur, [occur.index(i) for i in indices.tolist()]]
+
+
+ROWS = [("sort", "0.5 [0.4, 0.6]"), ("other", "0.25 [0.1, 0.4]")]
+DOCUMENT = Document(
+    "Two <trackers>",
+    [Text("Sort is best.", "lead", Where.EVERYWHERE)],
+    [
+        blocks_of.Tiles([("HOTA", "0.5", "of sort")]),
+        Heading("Scores"),
+        Table("", ("tracker", "HOTA"), ROWS, bad={1}, notes={1: "lost & never found"}, where=Where.EVERYWHERE),
+        Heading("Curves"),
+        blocks_of.Figure(lambda: "<svg></svg>", "A curve."),
+        Heading("Nothing here"),
+        Text(""),
+        Heading("Cells"),
+        blocks_of.Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=Where.PAGE)]),
+        blocks_of.Beside([blocks_of.Items(["only printed"], Where.TERMINAL)]),
+    ],
+)
+
+
+def printed(document: Document) -> str:
+    file = io.StringIO()
+    print_document(open_console(file=file, width=80), document)
+    return file.getvalue()
+
+
+PRINTED = """
+Scores
+tracker             HOTA
+sort      0.5 [0.4, 0.6]
+other    0.25 [0.1, 0.4]
+  other, 0.25 [0.1, 0.4]: lost & never found
+
+Cells
+  only printed
+
+Sort is best.
+"""
+
+
+def test_pages_terminals_and_notebooks_have_what_is_for_them_and_no_heading_of_nothing():
+    page = document_page(DOCUMENT, Provenance("a page", "a test", ()))
+    for part in ("Two &lt;trackers&gt;", "<h2>Scores</h2>", "<h2>Curves</h2>", "<svg>", "lost &amp; never found",
+                 "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
+        assert part in page
+    assert "Nothing here" not in page and "only printed" not in page
+    assert page.index("Sort is best.") < page.index("Scores")
+    assert printed(DOCUMENT) == PRINTED  # the outcome last, and neither charts nor their headings
+    html = DOCUMENT.notebook()
+    assert html.startswith("<p>Sort is best.</p><table>") and html.count("<tr>") == 3
+    assert "svg" not in html and "0.25 [0.1, 0.4]" in html
+    blocks = [Heading("a"), Heading("b", 3), Text("x"), Heading("c", 3), Heading("d"), Heading("e", 3)]
+    assert shown(blocks, Where.TERMINAL) == blocks[:3]
+    drawn = Table("drawn", ("a", "axis", "b"), [("1", Cell("", draw=lambda: "<svg></svg>"), "2")])
+    said = printed(Document("", [], [drawn, Table("named", (), [("name", "value")])]))
+    assert said.split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]

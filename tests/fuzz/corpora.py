@@ -159,9 +159,8 @@ def detectors() -> tuple[Files, ...]:
 @cache
 def calibrations() -> tuple[Files, ...]:
     """Calibration files of OpenCV, ROS and Kalibr."""
-    return tuple(
-        {"solved.json" if name == "json" else "solved.yaml": CALIBRATIONS[name].encode()} for name in CALIBRATIONS
-    )
+    endings = {name: "json" if name == "json" else "yaml" for name in CALIBRATIONS}
+    return tuple({f"solved.{ending}": CALIBRATIONS[name].encode()} for name, ending in endings.items())
 
 
 @cache

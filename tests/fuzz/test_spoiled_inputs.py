@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from modsim3d.core.errors import InputError, ModsimError
-from tests.fuzz.cases import files_of
+from tests.fuzz.cases import files_of, files_of_kept, kept_inputs
 from tests.fuzz.corpora import write_files
-from tests.fuzz.kept import files_of_kept, kept_inputs
 from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, outcome_of, printed
 from tests.fuzz.readers import READERS
 from tests.fuzz.workers import Result, tried, warm_up, within_limits
