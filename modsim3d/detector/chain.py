@@ -70,13 +70,16 @@ class _Vessels:
         )
 
 
-def _false(frame: Indices, target: Indices, kind: int, label: Indices, boxes_px: Array, uniforms: Array) -> _Unscored:
+def _false(
+    frame: Indices, target: Indices | None, kind: int, label: Indices, boxes_px: Array, uniforms: Array
+) -> _Unscored:
     """Detections of one kind that are no box of a vessel, of which they may lie on one."""
     count = len(frame)
+    none = np.full(count, -1)
     return _Unscored(
         frame=frame,
-        target=target,
-        partner=np.full(count, -1),
+        target=none if target is None else target,
+        partner=none,
         kind=np.full(count, kind),
         label=label,
         boxes_px=boxes_px,
@@ -209,15 +212,14 @@ class Detector:
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         counts = false_positives.FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
         around = false_positives.Surroundings(self._streams, frames, counts, vessels)
-        source, drawn = self._false_positive_source, {}
-        drawn[records.FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE] = source.draw_transient(around)
+        source = self._false_positive_source
+        drawn = [(records.FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE, source.draw_transient(around))]
         if self.model.false_positives.persistent_share:
-            drawn[records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE] = source.draw_persistent(around)
-        parts = []
-        for (kind, purpose), each in drawn.items():
-            uniforms, none = each.uniforms(self._streams, purpose, frames), np.full(len(each.frame), -1)
-            parts.append(_false(each.frame, none, kind, each.label, each.boxes_px, uniforms))
-        return parts
+            drawn.append((records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE, source.draw_persistent(around)))
+        return [
+            _false(each.frame, None, kind, each.label, each.boxes_px, each.uniforms(self._streams, purpose, frames))
+            for kind, purpose, each in drawn
+        ]
 
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""

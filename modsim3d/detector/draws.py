@@ -182,7 +182,8 @@ def low_uniforms(uniforms: Array) -> Array:
 def choose(distribution: Array, uniforms: Array) -> Indices:
     """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices (n,), of
     which none has probability zero."""
-    return np.asarray((uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64))
+    chosen: Indices = (uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64)
+    return chosen  # np.asarray would be one more call a step
 
 
 def poisson_quantile(uniforms: Array, mean: Array) -> Indices:
