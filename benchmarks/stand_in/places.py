@@ -18,18 +18,9 @@ VIEWPOINTS = ("shore", "own")
 """The cameras of each scene file."""
 
 
-class PhotographStyle(RenderStyle):
-    """Light and shade without the line of text that says what the weather is: a detector would read it."""
-
-    @property
-    def caption(self) -> str:
-        """None."""
-        return ""
-
-
 def style_of(weather: str) -> RenderStyle:
-    """How pictures look in a weather."""
-    return PhotographStyle(shaded=True, visibility_m=VISIBILITIES_M[weather])
+    """Light and shade in a weather without a caption that says which: a detector would read it."""
+    return RenderStyle(shaded=True, visibility_m=VISIBILITIES_M[weather])
 
 
 def place_scene(place: str, viewpoint: str, weather: str, seed: int, steps: int | None = None) -> Scene:

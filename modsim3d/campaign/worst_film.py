@@ -107,7 +107,7 @@ def best_style() -> tuple[RenderStyle, bool]:
             pass
     except RendererError:
         return PLAIN_STYLE, False
-    return RenderStyle(shaded=True), True
+    return RenderStyle(shaded=True, by_state=True), True
 
 
 def frame_of(rows: RunRows, number: int) -> Frame:

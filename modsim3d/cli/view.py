@@ -32,10 +32,10 @@ LookOption = Annotated[
     str | None,
     option(
         "LOOK,...",
-        "How vessels and sea look: shaded or plain; night; fog:M, with the visibility in metres. It changes no "
-        "detection.",
+        "How vessels and sea look: shaded or plain; clear, overcast, rain; dusk, night; fog:M, with the visibility in "
+        "metres. It changes no detection.",
         "--look",
-        show_default="shaded for scene, plain for detections",
+        show_default="shaded for scene, in the state's weather; plain for detections",
     ),
 ]
 CropOption = Annotated[

@@ -16,7 +16,7 @@ from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts
 from modsim3d.world.poses.replay import LivePoses
 
-_NOT_OF_TRUTH = ("seed", "detector", "detector_seed")
+_NOT_OF_TRUTH = ("seed", "looks", "detector", "detector_seed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +83,8 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     document = {**parts.data, "vessels": vessels, "detector": detector}
     if "obstacles" in document:
         document["obstacles"] = parts.meshes.copied_all(document["obstacles"] or {}, parts.folder)
+    if "looks" in document:
+        document["looks"] = {name: document["looks"][name] for name in parts.looks}
     files = {detector: detector_file, **parts.meshes.files}
     if parts.source is None or isinstance(parts.poses, LivePoses):
         document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import shapely
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import (
     MAX_COORDINATE_M,
     MOST,
@@ -306,6 +310,24 @@ class ObstacleKeys(Strict):
         return self
 
 
+class LookKeys(Strict):
+    """Weather in which a performance state of the detector is drawn. It changes no data."""
+
+    visibility_m: Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MOST)] | None = None
+    overcast: Annotated[bool, Field(strict=True)] = False
+    rain: Annotated[bool, Field(strict=True)] = False
+    dusk: Annotated[bool, Field(strict=True)] = False
+    night: Annotated[bool, Field(strict=True)] = False
+    significant_height_m: Annotated[float, Limits(allow_inf_nan=False, ge=0, le=20)] | None = None
+
+    @field_validator("night")
+    @classmethod
+    def _one_time(cls, night: bool, info: ValidationInfo) -> bool:
+        if night and info.data.get("dusk"):
+            raise ValueError("it is dusk or night, not both")
+        return night
+
+
 class SceneKeys(Strict):
     """A scene file. The content of `vessels` and `poses` is validated elsewhere."""
 
@@ -322,6 +344,7 @@ class SceneKeys(Strict):
     imu: ImuKeys | None = None
     origin: OriginKeys | None = None
     ais: AisKeys = AisKeys()
+    looks: dict[str, LookKeys] = Field(default_factory=dict)
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 
@@ -374,3 +397,18 @@ class Ais:
 
 
 USUAL_AIS = Ais()  # of a scene that says nothing
+
+# ---- The weather that the name of a performance state tells ----
+
+LOOKS_FILE = Path(__file__).with_name("looks.yaml")
+BESIDE_LOOKS = re.compile(r"experiment|\d+")  # words of shipped names that say nothing of the weather
+
+
+@cache
+def usual_look(state: str) -> LookKeys | None:
+    """The look of a performance state that its name tells, such as `foggy_cloudy`; None if a word of it is strange."""
+    known = load_yaml(LOOKS_FILE, "looks")
+    words = [word for word in re.findall(r"[^\W_]+", state.lower()) if not BESIDE_LOOKS.fullmatch(word)]
+    if not words or not all(word in known for word in words):
+        return None
+    return LookKeys.model_validate({key: value for word in words for key, value in known[word].items()})

@@ -18,7 +18,7 @@ from modsim3d.detector.file.reading import shipped_detectors
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import Plugin
 from modsim3d.io.validation import MOST_PROBLEMS, describe, join_path, nearest
-from modsim3d.scene.keys import OF_LABELS, LabelledSceneKeys, ObstacleKeys, SceneKeys
+from modsim3d.scene.keys import OF_LABELS, LabelledSceneKeys, LookKeys, ObstacleKeys, SceneKeys
 from modsim3d.scene.lens import form_problems, resolved
 from modsim3d.scene.settings import Setting, Settings
 from modsim3d.world.bodies import Obstacle, extruded, placed
@@ -214,6 +214,7 @@ class SceneParts:
         self.detector = self._detector()
         self.problems += islice(self._mount_problems(), MOST_PROBLEMS)
         self.problems += islice(self._label_problems(), MOST_PROBLEMS)
+        self.looks = self._looks()
         self.obstacles = self._obstacles()
         drawn = self._drawn(boxes)
         self.poses = self._poses(boxes, drawn)
@@ -458,6 +459,16 @@ class SceneParts:
         for name, entry in (self.vessel_entries or {}).items():
             if isinstance(entry, dict) and isinstance(entry.get("label"), str):
                 yield name, entry["label"]
+
+    def _looks(self) -> dict[str, LookKeys]:
+        """The looks of the detector's states; in a scene whose detector is replaced, others are of its own states."""
+        looks = self.keys.looks if self.keys and self.detector else {}
+        states = [state.name for state in self.detector.states] if self.detector else []
+        if not self.settings.sets("detector"):
+            self.problems += [
+                f"looks.{name}: no state '{name}' ({nearest(name, states)})" for name in looks if name not in states
+            ]
+        return {name: look for name, look in looks.items() if name in states}
 
     def _label_problems(self) -> Iterator[str]:
         if self.detector is None:

@@ -265,6 +265,7 @@ def assembled(parts: SceneParts) -> Scene:
         imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
         origin=(keys.origin.latitude_deg, keys.origin.longitude_deg) if keys.origin else None,
         ais=Ais(**keys.ais.model_dump()),
+        looks=parts.looks,
         plugins=parts.plugins,
         drawn_vessels=0 if parts.labelled else len(vessels) - len(parts.vessel_entries or ()),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore
 from modsim3d.io.plugins import Plugin
 from modsim3d.scene.copy import SceneCopy
-from modsim3d.scene.keys import USUAL_AIS, Ais
+from modsim3d.scene.keys import USUAL_AIS, Ais, LookKeys, usual_look
 from modsim3d.scene.parts import title_of
 from modsim3d.scene.sight import Sight, Snapshot, line_of_sight
 from modsim3d.truth.record import Annotation
@@ -124,6 +124,7 @@ class Scene:
         imu: Inertial unit on board each vessel that carries a camera.
         origin: Latitude and longitude in degrees of w1 = w2 = 0, if the scene lies on the Earth.
         ais: AIS equipment of the vessels.
+        looks: Weather in which performance states are drawn, by name, where it is not as their names tell.
         plugins: Plug-ins that the scene uses.
         drawn_vessels: Number of vessels that the pose source has drawn, the last ones.
     """
@@ -148,6 +149,7 @@ class Scene:
     imu: Imu = PERFECT_IMU
     origin: tuple[float, float] | None = None
     ais: Ais = USUAL_AIS
+    looks: Mapping[str, LookKeys] = field(default_factory=dict)
     plugins: tuple[Plugin, ...] = ()
     drawn_vessels: int = 0
 
@@ -255,6 +257,10 @@ class Scene:
     def labels(self) -> LabelledPoses | None:
         """The labels of videos that its truth is; None if vessels are where their poses are."""
         return self.poses if isinstance(self.poses, LabelledPoses) else None
+
+    def look_of(self, state: str) -> LookKeys | None:
+        """The weather in which a performance state is drawn; None if neither the scene nor its name says."""
+        return self.looks.get(state) or usual_look(state)
 
     def check_world(self, what: str) -> None:
         """Raise ModsimError where something needs to know where things are, and the truth is labels of videos."""

@@ -106,6 +106,10 @@ class Settings:
         """The option that sets a key of the scene; empty if none does."""
         return next((setting.option for setting in reversed(self._settings) if setting.key == key), "")
 
+    def sets(self, key: str) -> bool:
+        """Whether a key of the scene is set as a whole."""
+        return any(setting.key == key for setting in self._settings)
+
     def named(self, problems: Iterable[str]) -> list[str]:
         """Problems with the option that the caller gave, where they are about what it has set."""
         return [self._named(problem) for problem in problems]

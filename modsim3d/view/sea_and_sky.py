@@ -1,24 +1,31 @@
-"""The background of a shaded picture: a sea with ripples and a sky, by the direction in which each pixel looks.
-For illustration: the ripples are not the waves that move the vessels."""
+"""The background of a shaded picture: a sea with waves and a sky, by the direction in which each pixel looks.
+For illustration: truth and detections know no weather, and the waves hide nothing."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.interpolate import RectBivariateSpline
 
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Intrinsics
+from modsim3d.scene.scene import Scene
 from modsim3d.view.pictures.canvas import Window
+from modsim3d.view.pictures.layers import WEATHER
+from modsim3d.world.floating_vessels import Sea, jonswap_sea
 
 # ---- How a scene is to look ----
 
 CONTRAST = 0.02  # the visibility is the distance at which a black thing keeps this contrast against the sky
+FOG_BELOW_M = 1000.0  # a visibility that the WMO calls fog, above it haze
+PERIOD_OF_METRE_S = 4.4  # peak period of drawn waves of 1 m whose period nobody gives: that of a steepness of 1/30
 
 
 @dataclass(frozen=True)
@@ -27,16 +34,46 @@ class RenderStyle:
 
     shaded: bool = False  # in light and shade, by pyrender
     visibility_m: float | None = None  # meteorological; clear air if None
+    overcast: bool = False
+    rain: bool = False
+    dusk: bool = False
     night: bool = False
+    significant_height_m: float | None = None  # of the waves that are drawn; the scene's own if None
+    by_state: bool = False  # whether the weather is that of the detector's state in each frame
+    caption: str = ""  # a line for the picture, that says what weather is drawn
 
     def __post_init__(self) -> None:
         """Check what the user gave."""
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
             given = f"--look fog:{self.visibility_m:g}"
             raise ModsimError(f"{given}: give a positive distance in metres, such as fog:800")
-        if not self.shaded and (self.visibility_m is not None or self.night):
-            weather = "night" if self.night else "fog"
-            raise ModsimError(f"--look {weather} works in shaded pictures only: leave out plain")
+
+    def in_state(self, scene: Scene, state: str) -> RenderStyle:
+        """This style in the weather of a performance state, if it asks for that."""
+        if not (self.shaded and self.by_state):
+            return self
+        look = scene.look_of(state)
+        if look is None:
+            return replace(self, by_state=False, caption=WEATHER)
+        style = replace(self, by_state=False, **look.model_dump())
+        sea = style.sea(scene.waves.sea if scene.waves else None)
+        waves = f", waves {4 * math.sqrt((sea.amplitudes_m**2).sum() / 2):.2g} m" if sea else ""
+        return replace(style, caption=f"drawn as: {style.words}{waves}")
+
+    def sea(self, own: Sea | None) -> Sea | None:
+        """The waves that are drawn: of this style, else those of the scene; None for ripples alone."""
+        height_m = self.significant_height_m
+        return own if height_m is None else _waves_of(height_m) if height_m else None
+
+    @property
+    def dark(self) -> bool:
+        """Whether vessels show their lights."""
+        return self.dusk or self.night
+
+    @property
+    def sunny(self) -> bool:
+        """Whether the sun is seen."""
+        return not (self.night or self.overcast or self.rain)
 
     @property
     def extinction_per_m(self) -> float:
@@ -44,14 +81,25 @@ class RenderStyle:
         return 0.0 if self.visibility_m is None else -math.log(CONTRAST) / self.visibility_m
 
     @property
-    def caption(self) -> str:
-        """A line for the picture, so that nobody takes weather for a part of the simulation."""
-        fog = [] if self.visibility_m is None else [f"visibility {self.visibility_m:,.0f} m"]
-        weather = fog + (["night"] if self.night else [])
-        return f"illustration: {', '.join(weather)}; not part of truth or detections" if weather else ""
+    def words(self) -> str:
+        """The weather in words, such as `night, fog, 800 m`."""
+        sight = self.visibility_m or 0.0
+        air = f"{'fog' if sight < FOG_BELOW_M else 'haze'}, {sight:,.0f} m" if sight else ""
+        if self.rain and air:
+            air = f"visibility {sight:,.0f} m"
+        time = "night" if self.night else "dusk" if self.dusk else ""
+        sky = "rain" if self.rain else "overcast" if self.overcast else "" if air else "clear"
+        return ", ".join(filter(None, (time, sky, air)))
 
 
 PLAIN_STYLE = RenderStyle()
+
+
+@cache
+def _waves_of(height_m: float) -> Sea:
+    """A sea of some significant height, as steep as a young sea is, that travels along −w2."""
+    return jonswap_sea(height_m, PERIOD_OF_METRE_S * math.sqrt(height_m), -math.pi / 2, seed=0)
+
 
 Floats = NDArray[np.float32]
 
@@ -62,7 +110,12 @@ RIPPLE_PX, RIPPLE_M = 5.0, 0.4  # least size of ripples: roughly in the picture,
 FADE_M = 1000.0  # at this distance ripples are half as strong
 FOG_DEPTH_M = 150.0  # height of the layer of fog, through which the sky is seen
 WATER_REFLECTS = 0.02  # share of the light that water reflects when one looks straight down (n = 1.33)
-ROUGHNESS = 0.12  # waves turn a part of the sea towards the camera, so that it never is a perfect mirror
+ROUGHNESS = 0.12  # ripples turn a part of the sea towards the camera, so that it never is a perfect mirror
+CREST_M = 0.8  # how far ripples shift crests, so that they are no straight lines
+COARSE_PX = 4  # clouds and the sun's glow are found at every such pixel
+CLOUD_FOOT = 0.12  # sine of the height at which clouds begin to crowd towards the horizon
+SUN_SINE = {False: 0.76, True: 0.09}  # height of the sun by day, and at dusk
+SUN_WAY = np.array([-0.537, 0.844])  # direction to the sun on the sea, as in plain pictures
 
 
 @dataclass(frozen=True)
@@ -73,10 +126,44 @@ class Palette:
     horizon: tuple[float, float, float]
     water: tuple[float, float, float]
     fog: tuple[float, float, float]
+    cloud: tuple[float, float, float]
+    sun: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-DAY = Palette((0.30, 0.50, 0.75), (0.80, 0.88, 0.93), (0.03, 0.15, 0.22), (0.80, 0.83, 0.85))
-NIGHT = Palette((0.015, 0.025, 0.06), (0.10, 0.13, 0.20), (0.008, 0.015, 0.03), (0.13, 0.14, 0.17))
+DAY = Palette(
+    (0.30, 0.50, 0.75),
+    (0.80, 0.88, 0.93),
+    (0.03, 0.15, 0.22),
+    (0.80, 0.83, 0.85),
+    (0.97, 0.97, 0.97),
+    (1.0, 0.96, 0.88),
+)
+GREY_DAY = Palette((0.58, 0.61, 0.65), (0.76, 0.78, 0.80), (0.07, 0.13, 0.15), (0.75, 0.77, 0.79), (0.46, 0.49, 0.53))
+DUSK = Palette(
+    (0.13, 0.19, 0.38),
+    (0.60, 0.50, 0.50),
+    (0.02, 0.06, 0.10),
+    (0.42, 0.40, 0.44),
+    (0.45, 0.36, 0.42),
+    (1.0, 0.52, 0.22),
+)
+GREY_DUSK = Palette((0.20, 0.23, 0.29), (0.36, 0.38, 0.42), (0.03, 0.05, 0.07), (0.34, 0.36, 0.40), (0.13, 0.15, 0.20))
+NIGHT = Palette((0.015, 0.025, 0.06), (0.10, 0.13, 0.20), (0.008, 0.015, 0.03), (0.13, 0.14, 0.17), (0.06, 0.07, 0.10))
+GREY_NIGHT = Palette(
+    (0.02, 0.022, 0.03), (0.06, 0.065, 0.08), (0.006, 0.01, 0.02), (0.08, 0.085, 0.1), (0.01, 0.01, 0.016)
+)
+
+
+def palette_of(style: RenderStyle) -> Palette:
+    """The colours of a style's weather."""
+    clear, grey = (NIGHT, GREY_NIGHT) if style.night else (DUSK, GREY_DUSK) if style.dusk else (DAY, GREY_DAY)
+    return grey if style.overcast or style.rain else clear
+
+
+def sun_of(style: RenderStyle) -> Array:
+    """The unit vector to the sun in the world, shape (3,)."""
+    sine = SUN_SINE[style.dusk]
+    return np.array([*(SUN_WAY * math.sqrt(1 - sine**2)), sine])
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,45 +199,109 @@ def _through_lens(intrinsics: Intrinsics, columns: Array, rows: Array) -> Array:
     return np.stack([*found, np.ones_like(found[0])], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
 class Backdrop:
-    """Sea and sky of one picture of h × w pixels."""
+    """Sea and sky of pictures of h × w pixels from one pose of a camera, with waves that move.
 
-    colour: Floats  # sRGB from 0 to 1, shape (h, w, 3)
-    sea: Mask  # which pixels show the sea, shape (h, w)
-    mirror: Floats  # share of the light that the sea reflects there, shape (h, w)
-    ripple: Floats  # strength of the ripples, about −1 to 1, shape (h, w)
+    Attributes:
+        colour: sRGB from 0 to 1, shape (h, w, 3).
+        sea: Which pixels show the sea, shape (h, w).
+        ripple: Strength of the ripples, about −1 to 1, shape (h, w).
+        wet: The rows in which there is sea.
+    """
+
+    def __init__(
+        self, rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, style: RenderStyle, sea: Sea | None
+    ) -> None:
+        """Look with a rotation from WCF to CCF, shape (3, 3), from a position in WCF, shape (3,); `focal_px` pixels of
+        the picture stand for a radian, near its middle."""
+        self._style, self._position_m, self.waves = style, position_m, sea
+        above, turn = max(float(position_m[2]), 0.1), camera_R_world.astype(np.float32)
+        self.colour, glow = _sky(rays.camera, turn, above, style)
+        shape = rays.inside.shape
+        self.sea, self.ripple = np.zeros(shape, bool), np.zeros(shape, np.float32)
+        below = np.flatnonzero((rays.camera @ turn[:, 2] <= 0).any(axis=1))
+        self.wet = wet = slice(max(below[0] - 1, 0), below[-1] + 2) if len(below) else slice(0, 0)
+        world = rays.camera[wet] @ turn
+        up = world[..., 2]
+        self.sea[wet] = up <= 0
+        down = np.maximum(-up, np.float32(1e-6))
+        distance = above / down
+        x, y = (world[..., axis] * distance + np.float32(position_m[axis]) for axis in (0, 1))
+        self.ripple[wet] = ripple = _ripple(x, y, distance, focal_px)
+        # Seen along the surface, what counts is how waves are turned; their slopes make up for the angle.
+        self._sine = down + ROUGHNESS * (1 + 0.45 * ripple)
+        if sea is not None:
+            way = math.cos(sea.direction_rad), math.sin(sea.direction_rad)
+            self._gain = world[..., 0] * np.float32(way[0]) + world[..., 1] * np.float32(way[1])
+            # A pixel is long along its ray, and then covers many waves.
+            footprint = distance / np.float32(focal_px) * (1 + np.abs(self._gain) / down)
+            along = (x - np.float32(position_m[0])) * np.float32(way[0]) + (y - np.float32(position_m[1])) * np.float32(
+                way[1]
+            )
+            self._index = _index(along + CREST_M * ripple, footprint)
+        self._glint = glow[wet] * (0.2 + np.maximum(1.6 * ripple, 0) ** 2) if style.sunny else None
+        self._kept = np.exp(-style.extinction_per_m * distance) if style.extinction_per_m else None
+        # A pixel on the horizon is part sea, part sky, so that the line has no steps.
+        self._edge = (np.abs(up) < 0.5 / focal_px).nonzero()
+        self._sky_share = (0.5 + up[self._edge] * np.float32(focal_px))[:, None]
+        self._sky_there = self.colour[wet][self._edge]
+        self._beyond = (~self.sea[wet]).nonzero()
+        self._sky_beyond = self.colour[wet][self._beyond]
+        self.show(0.0)
+
+    @property
+    def foam(self) -> Floats:
+        """The colour of foam."""
+        return np.array(palette_of(self._style).fog, np.float32) * np.float32(1.12)
+
+    def show(self, time_s: float) -> None:
+        """Draw the sea at a time."""
+        sine, wet, palette = self._sine, self.wet, palette_of(self._style)
+        if self.waves is not None:
+            slopes = wave_slopes(self.waves, time_s, self._position_m)
+            sine = np.maximum(sine + self._gain * slopes.take(self._index), np.float32(0.02))
+        colours, _ = _tables(palette)
+        colour = colours.take(_place(sine), axis=0)
+        if self._glint is not None:
+            colour += self._glint[..., None] * np.array(palette.sun, np.float32)
+        if self._kept is not None:
+            air = np.array(palette.fog, np.float32)
+            colour = air + self._kept[..., None] * (colour - air)
+        at = self._edge
+        colour[self._beyond] = self._sky_beyond
+        colour[at] = colour[at] * (1 - self._sky_share) + self._sky_there * self._sky_share
+        self.colour[wet], self._shown = colour, sine
+
+    def mirror(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Floats:
+        """Share of the light that the sea reflects at some pixels in wet rows, shape (n,)."""
+        return _tables(palette_of(self._style))[1].take(_place(self._shown[rows - self.wet.start, columns]))
 
 
-def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, style: RenderStyle) -> Backdrop:
-    """Sea and sky as a camera sees them with a rotation from WCF to CCF, shape (3, 3), at a position in WCF, shape
-    (3,); `focal_px` pixels of the picture stand for a radian, near its middle."""
-    up: Floats = (rays.camera.reshape(-1, 3) @ camera_R_world[:, 2].astype(np.float32)).reshape(rays.inside.shape)
-    above = max(float(position_m[2]), 0.1)
-    sea = up <= 0
-    rows = np.flatnonzero(sea.any(axis=1))
-    wet = slice(max(rows[0] - 1, 0), rows[-1] + 2) if len(rows) else slice(0, 0)
-    down: Floats = np.maximum(-up, np.float32(1e-6))
-    ripple, mirror = (np.zeros(up.shape, np.float32) for _ in range(2))
-    world = rays.camera[wet] @ camera_R_world[:, :2].astype(np.float32)
-    ripple[wet] = _ripple(world, above / down[wet], position_m, focal_px)
-    # Seen along the surface, what counts is how waves are turned; their slopes make up for the angle.
-    turned = _place(down[wet] + ROUGHNESS * (1 + 0.45 * ripple[wet]))
-    colours, mirrors = _tables(style.night)
-    place = _place(up) + TABLE  # the sky's colours stand behind the sea's
-    place[wet] = np.where(sea[wet], turned, place[wet])
-    colour = colours.take(place, axis=0)
-    mirror[wet] = mirrors.take(turned)
-    # A pixel on the horizon is part sea, part sky, so that the line has no steps.
-    i, j = np.nonzero(np.abs(up[wet]) < 0.5 / focal_px)
-    at = up[wet][i, j]
-    share = 0.5 - at[:, None] * np.float32(focal_px)
-    colour[wet][i, j] = colours[TABLE + _place(at)] * (1 - share) + colours[turned[i, j]] * share
+def _sky(rays: Floats, turn: Floats, above_m: float, style: RenderStyle) -> tuple[Floats, Floats]:
+    """The sky's colours with clouds, shape (h, w, 3), as if there were no sea; the sun's glow on the sea, (h, w)."""
+    height, width = rays.shape[:2]
+    world = rays[COARSE_PX // 2 :: COARSE_PX, COARSE_PX // 2 :: COARSE_PX] @ turn
+    palette, up = palette_of(style), np.abs(world[..., 2])
+    colour = _tables(palette)[0].take(_place(up) + TABLE, axis=0)
+    far = 1 / (up + np.float32(CLOUD_FOOT))
+    shape = _clouds()[tuple((world[..., axis] * far * 60).astype(np.int32) & (TILE - 1) for axis in (0, 1))]
+    cover = np.clip(0.5 + 0.5 * shape, 0, 1) if style.overcast or style.rain else np.clip(shape - 0.35, 0, 0.7)
+    cover = 0.55 * cover * np.minimum(up / np.float32(0.1), 1)
+    colour += cover[..., None] * (np.array(palette.cloud, np.float32) - colour)
+    glow = np.zeros_like(up)
+    if style.sunny:
+        sun = sun_of(style).astype(np.float32)
+        near = np.maximum(world @ sun, 0)
+        around = near**8 * (0.55 if style.dusk else 0.2) + np.clip((near - 0.9996) * 8000, 0, 1)
+        colour += around[..., None] * (np.array(palette.sun, np.float32) - colour)
+        half = sun - world  # a wave that is turned so shows the sun: Cox & Munk (1954)
+        slope = (half[..., 0] ** 2 + half[..., 1] ** 2) / np.maximum(half[..., 2], np.float32(0.01)) ** 2
+        glow = np.exp(-slope / np.float32(0.06)) * np.float32(0.55)
     if style.extinction_per_m:
-        # Through fog of some depth: along the sea all the way, upwards until it ends.
-        through = np.where(sea, above / down, max(FOG_DEPTH_M - above, 1.0) / np.maximum(up, 1e-6))
-        colour = fogged(colour, through, style)
-    return Backdrop(colour, sea, mirror, ripple)
+        colour = fogged(colour, max(FOG_DEPTH_M - above_m, 1.0) / np.maximum(up, 1e-6), style)
+    small = Image.fromarray((np.clip(colour, 0, 1) * np.float32(255) + np.float32(0.5)).astype(np.uint8))
+    whole = np.asarray(small.resize((width, height), Image.Resampling.BILINEAR), np.float32) / np.float32(255)
+    return whole, np.asarray(Image.fromarray(glow).resize((width, height), Image.Resampling.BILINEAR))
 
 
 def _place(sine: Floats) -> NDArray[np.int32]:
@@ -159,9 +310,8 @@ def _place(sine: Floats) -> NDArray[np.int32]:
 
 
 @cache
-def _tables(night: bool) -> tuple[Floats, Floats]:
+def _tables(colours: Palette) -> tuple[Floats, Floats]:
     """Colours of sea and sky, (2 TABLE, 3), and the share that the sea mirrors, (TABLE,), by the sine of the angle."""
-    colours = NIGHT if night else DAY
     sine = np.linspace(0, 1, TABLE, dtype=np.float32)
     low, high = np.array(colours.horizon, np.float32), np.array(colours.zenith, np.float32)
     sky: Floats = low + (1 - np.exp(-3.5 * sine))[:, None] * (high - low)
@@ -176,22 +326,56 @@ def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style
     if not style.extinction_per_m:
         return colour.astype(np.float32)
     kept = np.exp(-style.extinction_per_m * distance_m)[..., None]
-    air = np.array((NIGHT if style.night else DAY).fog, np.float32)
+    air = np.array(palette_of(style).fog, np.float32)
     out: Floats = (air + kept * (colour - air)).astype(np.float32)
     return out
 
 
-def _ripple(world: Floats, distance: NDArray[np.floating], position_m: Array, focal_px: float) -> Floats:
+# ---- Waves and ripples ----
+
+WAVE_M, WAVE_SAMPLES, WAVE_LEVELS = 0.25, 4096, 7
+"""Spacing along the waves' way in a table of their slopes, which each level doubles; samples and levels."""
+
+
+def wave_slopes(sea: Sea, time_s: float, position_m: Array) -> Floats:
+    """The slopes of a sea's surface at a time along the waves' way, shape (levels, samples). Level l has a sample
+    every `WAVE_M` · 2^l metres around a position in WCF, shape (3,), which is in its middle; waves that are too short
+    for it are smoothed away."""
+    numbers, side = sea.wave_numbers_rad_m, math.isqrt(WAVE_SAMPLES)
+    out = np.empty((WAVE_LEVELS, WAVE_SAMPLES), np.float32)
+    phases = sea.phases_at(np.array([time_s]), position_m[None])[0]
+    for level in range(WAVE_LEVELS):
+        step = WAVE_M * 2.0**level
+        strength = (
+            1j
+            * numbers
+            * sea.amplitudes_m
+            * np.exp(1j * (phases - numbers * step * WAVE_SAMPLES / 2) - (numbers * step / 2) ** 2)
+        )
+        coarse, fine = (np.exp(1j * np.outer(np.arange(side) * each, numbers)) for each in (side * step, step))
+        out[level] = ((coarse * strength) @ fine.T).real.ravel()
+    return out
+
+
+def _index(along_m: Floats, footprint_m: Floats) -> NDArray[np.int32]:
+    """Places in the table of slopes, for distances from its middle and what a pixel covers there, in metres."""
+    level = np.clip(np.log2(footprint_m / np.float32(WAVE_M)), 0, WAVE_LEVELS - 1).astype(np.int32)
+    sample = (along_m * np.exp2(-level.astype(np.float32)) * np.float32(1 / WAVE_M)).astype(
+        np.int32
+    ) + WAVE_SAMPLES // 2
+    place: NDArray[np.int32] = level * WAVE_SAMPLES + (sample & (WAVE_SAMPLES - 1))
+    return place
+
+
+def _ripple(x: Floats, y: Floats, distance: Floats, focal_px: float) -> Floats:
     """A pattern that lies on the sea, as coarse as its distance asks for."""
-    x = world[..., 0] * distance + np.float32(position_m[0])
-    y = world[..., 1] * distance + np.float32(position_m[1])
-    finest = np.log2(np.maximum(distance * (RIPPLE_PX / focal_px), RIPPLE_M))
+    finest = np.log2(np.maximum(distance * np.float32(RIPPLE_PX / focal_px), np.float32(RIPPLE_M)))
     level = np.floor(finest)
     share = finest - level
     cells = np.exp2(-level) * 4  # a tile's longest waves are some cells long
     out = (1 - share) * _tile_at(x * cells, y * cells)
     out += share * _tile_at(x * (cells / 2), y * (cells / 2))
-    faded: Floats = (out / (1 + distance / FADE_M)).astype(np.float32)
+    faded: Floats = (out / (1 + distance / np.float32(FADE_M))).astype(np.float32)
     return faded
 
 
@@ -204,9 +388,18 @@ def _tile_at(x: Floats, y: Floats) -> Floats:
 @cache
 def _tile() -> Floats:
     """Smooth noise that repeats without a seam, its crests across w1 and w2 alike; standard deviation 0.5."""
+    return 0.5 * _noise(lambda frequency: np.exp(-(((frequency - 0.09) / 0.06) ** 2)))
+
+
+@cache
+def _clouds() -> Floats:
+    """Noise of all sizes that repeats without a seam; standard deviation 1."""
+    return _noise(lambda frequency: 1 / np.maximum(frequency, 2 / TILE) ** 1.7)
+
+
+def _noise(band: Callable[[Array], Array]) -> Floats:
     rng = np.random.default_rng(TILE_SEED)
     frequency = np.hypot(np.fft.fftfreq(TILE)[:, None], np.fft.fftfreq(TILE))
-    band = np.exp(-(((frequency - 0.09) / 0.06) ** 2))
-    noise = np.fft.ifft2(np.fft.fft2(rng.standard_normal((TILE, TILE))) * band).real
-    tile: Floats = (0.5 * noise / noise.std()).astype(np.float32)
+    noise = np.fft.ifft2(np.fft.fft2(rng.standard_normal((TILE, TILE))) * band(frequency)).real
+    tile: Floats = (noise / noise.std()).astype(np.float32)
     return tile

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
@@ -17,8 +17,9 @@ from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.view import palette
 from modsim3d.view.lights import SeenLight, is_hidden, lights_towards
 from modsim3d.view.pictures.canvas import Canvas, Window, font, text_size
-from modsim3d.view.pictures.plain import SUN, Solids, occluder_colour
-from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, backdrop, fogged
+from modsim3d.view.pictures.plain import Solids, occluder_colour
+from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, fogged, sun_of
+from modsim3d.view.wakes import draw_wakes
 
 # ---- Draws the lights of vessels into a picture ----
 
@@ -71,24 +72,35 @@ class ShadedPictureRenderer:
         self.style = style
         self._renderer = renderer
         self._grounds: dict[tuple[str, Intrinsics, Window], _Ground] = {}
+        self._others: dict[RenderStyle, ShadedPictureRenderer] = {self.style: self}
+
+    def styled(self, style: RenderStyle) -> ShadedPictureRenderer:
+        """A renderer of another style in the same context."""
+        if style not in self._others:
+            self._others[style] = ShadedPictureRenderer(self._renderer, style)
+        return self._others[style]
 
     def picture(
         self, solids: Solids, window: Window, speeds_m_s: Array | None = None, samples: int = SAMPLES
     ) -> Image.Image:
-        """A shaded picture of a window, with lights by night if speeds over ground of all vessels, shape (V,), are
-        given. `samples` are buffer pixels for each pixel and axis; with 1 edges are not smoothed."""
+        """A shaded picture of a window. With speeds over ground of all vessels, shape (V,), they leave wakes, and show
+        lights in the dark. `samples` are buffer pixels for each pixel and axis; with 1 edges are not smoothed."""
         rays = _rays(solids.intrinsics, window)
         ground = self._ground(rays, solids, window)
         faces = lit_faces(solids)
         mirrored = _mirrored(faces, solids)
         regions = _region(faces, solids, window), _region(mirrored, solids, window, margin_px=2 * SMEAR)
-        rgb, rows = ground.begin(), _rows(regions)
+        rgb = ground.begin(solids.time_s)
+        wakes = () if speeds_m_s is None else draw_wakes(rgb, ground.backdrop, rays, solids, window, speeds_m_s)
         self._reflect(rgb, ground.backdrop, mirrored, solids, window, regions[1])
         self._stand(rgb, rays, faces, solids, window, regions[0], samples)
-        if self.style.night and speeds_m_s is not None:
+        rows = _rows((*regions, *wakes))
+        if self.style.dark and speeds_m_s is not None:
             rows = slice(0, window.size[1])
             draw_lights(rgb, solids, window, speeds_m_s, self.style.extinction_per_m)
         picture = Image.fromarray(ground.end(rows, rays.inside))
+        if self.style.rain:
+            _rain(picture, int(solids.sight.steps[0]))
         if self.style.caption:
             _write(picture, self.style.caption)
         return picture
@@ -100,8 +112,8 @@ class ShadedPictureRenderer:
         key = solids.camera.name, solids.intrinsics, window
         known = self._grounds.get(key)
         if known is None or not np.array_equal(known.pose, pose):
-            focal_px = solids.intrinsics.focal_px[0] * window.scale
-            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.style)
+            focal_px, place = solids.intrinsics.focal_px[0] * window.scale, poses.positions_m[0]
+            behind = Backdrop(rays, poses.camera_R_world[0], place, focal_px, self.style, self.style.sea(solids.waves))
             known = self._grounds[key] = _Ground(pose, behind)
         return known
 
@@ -139,21 +151,27 @@ class ShadedPictureRenderer:
         here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
         rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
         unit = SMEAR * window.size[0] / 1280
+        seen = np.dstack([lit.colour, lit.drawn * np.uint8(255)])
+        if self.style.extinction_per_m:
+            depth = np.where(lit.drawn, lit.depth_m, 0)
+            kept = (lit.drawn * np.exp(-self.style.extinction_per_m * depth))[..., None]
+            misty = fogged(lit.colour / np.float32(255), depth, self.style)
+            seen = np.rint(np.dstack([misty * kept, kept]) * 255).astype(np.uint8)
+        # Waves smear a reflection up and down, and hardly to the sides.
+        small = (region.width, max(round(region.height / max(unit, 1)), 1))
+        image = Image.frombuffer("RGBX", (region.width, region.height), seen, "raw", "RGBX", 0, 1)
+        image = image.resize(small, Image.Resampling.BOX)
+        soft = np.asarray(image.resize((region.width, region.height), Image.Resampling.BILINEAR)).reshape(-1, 4)
         from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
         source = (from_row * region.width + columns).ravel()
         # Most of the sea shows no vessel: only the pixels that do are computed, each by one index, which is fast.
-        shown = np.flatnonzero(lit.drawn.ravel().take(source) & behind.sea[here].ravel())
-        source = source[shown]
+        shown = np.flatnonzero((soft[:, 3].take(source) > 0) & behind.sea[here].ravel())
         row, column = np.divmod(shown, region.width)
-        target = (row + region.y) * rgb.shape[1] + column + region.x
-        share: Floats = (behind.mirror.ravel().take(target) * np.float32(REFLECTION))[:, None]
-        seen = lit.colour.reshape(-1, 3).take(source, axis=0).astype(np.float32) / np.float32(255)
-        if self.style.extinction_per_m:
-            depth = lit.depth_m.ravel().take(source)
-            seen = fogged(seen, depth, self.style)
-            share = share * np.exp(-self.style.extinction_per_m * depth)[:, None]
-        pixels = rgb.reshape(-1, 3)
-        pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
+        row, column = row + region.y, column + region.x
+        share: Floats = (behind.mirror(row, column) * np.float32(REFLECTION / 255))[:, None]
+        light = soft.take(source[shown], axis=0) * share
+        target, pixels = row * rgb.shape[1] + column, rgb.reshape(-1, 3)
+        pixels[target] = pixels.take(target, axis=0) * (1 - light[:, 3:]) + light[:, :3]
 
 
 class _Ground:
@@ -165,9 +183,12 @@ class _Ground:
         self._used = False
         self._shown: NDArray[np.uint8] | None = None
 
-    def begin(self) -> Floats:
-        """Nothing but sea and sky to draw on, sRGB from 0 to 1, shape (h, w, 3)."""
+    def begin(self, time_s: float) -> Floats:
+        """Nothing but sea and sky at a time to draw on, sRGB from 0 to 1, shape (h, w, 3)."""
         self._rgb[self._changed] = self.backdrop.colour[self._changed]
+        if self.backdrop.waves is not None:
+            self.backdrop.show(time_s)
+            self._rgb[self.backdrop.wet] = self.backdrop.colour[self.backdrop.wet]
         return self._rgb
 
     def end(self, rows: slice, inside: Mask) -> NDArray[np.uint8]:
@@ -179,7 +200,8 @@ class _Ground:
         if self._shown is None:
             self._shown = _shown(self.backdrop.colour, inside)
         picture = self._shown.copy()
-        picture[rows] = _shown(self._rgb[rows], inside[rows])
+        for some in (rows, *([] if self.backdrop.waves is None else [self.backdrop.wet])):
+            picture[some] = _shown(self._rgb[some], inside[some])
         return picture
 
 
@@ -238,12 +260,37 @@ def _rows(regions: tuple[Region, ...]) -> slice:
 
 
 def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
-    """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
-    to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (SUN, OVERHEAD))
+    """Sun, sky and a little light from where the camera is; by night the moon in the sun's place. No sun through
+    clouds."""
+    to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (sun_of(style), OVERHEAD))
     if style.night:
-        return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
+        dim = 0.35 if style.overcast or style.rain else 1.0
+        return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3 * dim)], (0.022 * dim, 0.026 * dim, 0.036 * dim)
+    if style.dusk:
+        lamps = [Lamp(to_zenith, (0.7, 0.8, 1.0), 0.35)]
+        return [*lamps, *([Lamp(to_sun, (1.0, 0.55, 0.3), 1.1)] if style.sunny else [])], (0.06, 0.065, 0.09)
+    from_camera = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
+    if not style.sunny:
+        return [Lamp(to_zenith, (0.95, 0.98, 1.0), 1.0), from_camera], (0.24, 0.25, 0.27)
     sun, sky = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3), Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
-    return [sun, sky, Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)], (0.20, 0.22, 0.25)  # the last from the camera
+    return [sun, sky, from_camera], (0.20, 0.22, 0.25)
+
+
+STREAKS, STREAK_PX, SLANT = 420, 26.0, 0.18  # of rain, in a picture 1280 px wide; how far the wind drives it aside
+
+
+def _rain(picture: Image.Image, step: int) -> None:
+    """Streaks of rain over a picture, others at each step."""
+    (width, height), unit = picture.size, picture.width / 1280
+    rng, veil = np.random.default_rng(step), Image.new("L", picture.size)
+    draw = ImageDraw.Draw(veil)
+    places, sizes = rng.random((STREAKS, 2)) * (width, height), STREAK_PX * unit * (0.3 + 0.7 * rng.random(STREAKS))
+    for (x, y), size in zip(places.tolist(), sizes.tolist(), strict=True):
+        draw.line(
+            (x, y, x - SLANT * size, y + size), fill=round(70 * size / (STREAK_PX * unit)), width=max(round(unit), 1)
+        )
+    light = round(2.5 * float(np.asarray(picture.resize((16, 9))).mean()) ** 0.86)
+    picture.paste((light, light, light), (0, 0), veil)
 
 
 def _write(picture: Image.Image, text: str) -> None:

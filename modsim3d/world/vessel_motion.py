@@ -10,7 +10,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals, normals
 from modsim3d.geometry.camera_poses import CameraPoses, Mount, poses_on_board, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import velocities
-from modsim3d.world.floating_vessels import Passage, WaveMotion
+from modsim3d.world.floating_vessels import FloatingVessels, Passage, Sea, WaveMotion
 from modsim3d.world.poses.base import Poses, PoseSource, times_s
 from modsim3d.world.poses.replay import LivePoses
 
@@ -22,6 +22,12 @@ class Waves:
     motion: WaveMotion  # gives heave and angles
     apply_to: str = "ownship"  # `ownship`: only vessels that carry a camera are moved; `all`: every vessel
     composition: str = "rigid"  # of a camera's own angles and its vessel's: `rigid` or `additive`
+
+    @property
+    def sea(self) -> Sea | None:
+        """The waves of a spectrum; None if the water is flat, or only the vessels' angles are known."""
+        motion = self.motion
+        return motion.sea if isinstance(motion, FloatingVessels) and motion.sea.amplitudes_m.any() else None
 
 
 @dataclass(frozen=True, eq=False)

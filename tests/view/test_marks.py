@@ -220,5 +220,6 @@ def test_the_legend_has_the_vessels_that_the_pictures_show(run):
 def test_films_say_that_weather_is_not_drawn_unless_some_is(run):
     (step,) = select(run, (0, 1), from_s=0, to_s=0).step_frames()
     for style, is_told in ((RenderStyle(), True), (RenderStyle(shaded=True, night=True), False)):
-        head = FilmRenderer(run.scene, FilmPlan(("detections",), (0, 1), 640, style=style), PlainIds())._head(step)
+        plan = FilmPlan(("detections",), (0, 1), 640, style=style, boxes_on_scene=style.shaded)
+        head = FilmRenderer(run.scene, plan, PlainIds())._head(step)
         assert "    detector " in head and head.endswith(f"    {WEATHER}") == is_told

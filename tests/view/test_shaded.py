@@ -162,18 +162,22 @@ def test_a_painter_used_before_draws_the_same_at_other_steps_and_when_the_camera
     assert (pictures[-3] != pictures[-2]).any()
 
 
-def test_sea_and_sky_are_drawn_once_for_a_camera_that_stays(shaded, monkeypatch):
+def test_sky_and_calm_sea_are_drawn_once_for_a_camera_that_stays_and_waves_move(shaded, monkeypatch):
     """Two cameras with the same optics, the first of them on board."""
     scene, drawn = load_scene("strait", steps=4), []
     ashore, on_board = (next(c for c in scene.cameras if (c.mount.vessel is None) == fixed) for fixed in (True, False))
     ashore = replace(ashore, intrinsics=on_board.intrinsics)
-    seen = shaded_picture.backdrop
-    monkeypatch.setattr(shaded_picture, "backdrop", lambda *given: drawn.append(given) or seen(*given))
-    used, window = ShadedPictureRenderer(shaded, DAYLIGHT), Window.whole(on_board.intrinsics.image_size_px, 160)
-    for step in range(4):
-        for camera in (on_board, ashore):
-            used.picture(Solids.at(scene, camera, step), window)
-    assert len(drawn) == 4 + 1
+    seen = shaded_picture.Backdrop
+    monkeypatch.setattr(shaded_picture, "Backdrop", lambda *given: drawn.append(given) or seen(*given))
+    window, pictures = Window.whole(on_board.intrinsics.image_size_px, 160), {None: [], 0.0: []}
+    for height_m, shown in pictures.items():
+        used = ShadedPictureRenderer(shaded, replace(DAYLIGHT, significant_height_m=height_m))
+        for step in range(4):
+            used.picture(Solids.at(scene, on_board, step), window)
+            shown.append(np.asarray(used.picture(Solids.at(scene, ashore, step), window))[-20:])
+    assert len(drawn) == 2 * (4 + 1)
+    moving, calm = ([(one != shown[0]).mean() for one in shown[1:]] for shown in pictures.values())
+    assert min(moving) > 0.3 and max(calm) == 0
 
 
 def test_programs_are_compiled_for_the_first_picture_only(shaded, scene, monkeypatch):
@@ -229,12 +233,3 @@ def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids
     far = ids == len(scene.vessels) + 1  # the island, 300 m away
     assert far.sum() > 20 and np.ptp(fog[far].mean(axis=-1)) < 6 and clear[far].mean() < fog[far].mean() - 30
     assert night.mean() < 0.35 * clear.mean()
-
-
-def test_weather_is_said_to_be_an_illustration(shaded, solids):
-    assert RenderStyle(shaded=True).caption == ""
-    assert "illustration: visibility 800 m, night" in RenderStyle(shaded=True, visibility_m=800.0, night=True).caption
-    nowhere = RenderStyle(shaded=True, visibility_m=1e12)  # such fog changes no colour
-    off = np.abs(painted(shaded, solids) - painted(shaded, solids, style=nowhere))
-    rows, columns = np.nonzero((off > 8).any(axis=-1))
-    assert rows.min() > 440 and columns.min() == 0

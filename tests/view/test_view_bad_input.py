@@ -45,7 +45,9 @@ WRONG = [
     ("film --kind map --look shaded", ["--look", "not with map"]),
     ("film --kind scene --look fog:0", ["--look fog:0", "metres"]),
     ("film --kind scene --look fog:nan", ["--look fog:nan"]),
-    ("film --kind scene --look fog", ["--look fog: needs shaded or plain, night, fog:M"]),
+    ("film --kind scene --look fog", ["--look fog: needs shaded or plain", "fog:M with"]),
+    ("film --kind scene --look clear,rain", ["--look clear,rain: needs", "clear or overcast"]),
+    ("film --kind scene --look nigth", ["did you mean 'night'?"]),
     ("film --kind scene --look plain,night", ["leave out plain"]),
 ]
 

@@ -195,11 +195,10 @@ class FilmRenderer:
             return ids_picture(camera_view.solids, window, self._id_renderer, nominal)
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
         ground = None
-        shaded = self._shaded_renderer is not None and self._scene.labels is None
-        if shaded and self._shaded_renderer is not None and kind != "corners" and on_scene:
-            night = self._shaded_renderer.style.night
-            speeds_m_s = ground_speeds(self._scene, camera_view.frame.step) if night else None
-            ground = self._shaded_renderer.picture(camera_view.solids, window, speeds_m_s)
+        if self._shaded_renderer is not None and self._scene.labels is None and kind != "corners" and on_scene:
+            style = self._plan.style.in_state(self._scene, camera_view.frame.state)
+            speeds_m_s = ground_speeds(self._scene, camera_view.frame.step)
+            ground = self._shaded_renderer.styled(style).picture(camera_view.solids, window, speeds_m_s)
             layers = replace(layers, horizon=False, silhouettes=False)
         return frame_picture(camera_view, window, layers, self._id_renderer, ground=ground, nominal_width_px=nominal)
 
@@ -209,7 +208,8 @@ class FilmRenderer:
         camera = single and self._scene.cameras[self._plan.cameras[0]].name
         time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
         detector, age = states and f"detector {', '.join(states)}", single and _age(step_frames, 0)
-        weather = states and not self._plan.style.caption and WEATHER
+        drawn = self._plan.style.shaded and ("scene" in self._plan.kinds or self._plan.boxes_on_scene)
+        weather = states and not drawn and WEATHER
         parts = (self._scene.name, camera, time, step, detector, age, self._plan.note, weather)
         return "    ".join(part for part in parts if part)
 

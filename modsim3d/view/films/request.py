@@ -1,10 +1,11 @@
 """Request for a film or a picture: what it shows of a run, checked before anything is read or drawn."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Self
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 from modsim3d.core.errors import ModsimError, RendererError
+from modsim3d.io.validation import nearest
 from modsim3d.render.context import open_context
 from modsim3d.runs.counts import NOTHING_WRONG
 from modsim3d.runs.selection import Selection
@@ -16,6 +17,7 @@ from modsim3d.view.pictures.layers import Layers
 from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
 
 WITH_LOOK = ("scene", "detections", "all")
+SKIES = {"overcast", "rain", "dusk", "night"}
 WITH_TRACKS = ("detections", "all")
 
 
@@ -24,38 +26,38 @@ class Look:
     """Look of a scene, as `--look` says it."""
 
     shaded: bool | None = None  # in light and shade, or plain; that of the kind if None
-    visibility_m: float | None = None  # meteorological; clear air if None
-    night: bool = False
+    weather: RenderStyle | None = None  # that of the detector's state if None
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """A look such as `plain`, or `night,fog:800`. Raises ModsimError for a word that is none of `shaded`, `plain`,
-        `night` and `fog:M`, and for words that contradict each other."""
+        """A look such as `plain`, or `night,fog:800`. Raises ModsimError for an unknown word, and for words that
+        contradict each other."""
         words = [word.strip() for word in text.split(",")]
         fogs = [word.removeprefix("fog:") for word in words if word.startswith("fog:")]
         try:
             visibilities = [float(fog) for fog in fogs]
         except ValueError:
             visibilities = []
-        strange = {*words} - {"shaded", "plain", "night", *(f"fog:{fog}" for fog in fogs)}
-        if strange or len(visibilities) != len(fogs) or len(fogs) > 1 or {"shaded", "plain"} <= {*words}:
+        known = {"shaded", "plain", "clear", *SKIES, *(f"fog:{fog}" for fog in fogs)}
+        strange = next((word for word in words if word not in known), None)
+        apart = ({"shaded", "plain"}, {"dusk", "night"}, {"clear", "overcast"}, {"clear", "rain"})
+        if strange or len(visibilities) != len(fogs) or len(fogs) > 1 or any(pair <= {*words} for pair in apart):
+            hint = f" ({nearest(strange, sorted(known))})" if strange else ""
             raise ModsimError(
-                f"--look {text}: needs shaded or plain, night, fog:M with the visibility in metres, as in night,fog:800"
+                f"--look {text}: needs shaded or plain, clear or overcast, rain, dusk or night, fog:M with the "
+                f"visibility in metres, as in night,fog:800{hint}"
             )
+        weather = [word for word in words if word not in ("shaded", "plain")]
+        if weather and "plain" in words:
+            raise ModsimError(f"--look {weather[0]} works in shaded pictures only: leave out plain")
         shaded = "shaded" in words if {"shaded", "plain"} & {*words} else None
-        look = cls(shaded, visibilities[0] if visibilities else None, "night" in words)
-        look.style()
-        return look
-
-    @property
-    def weather(self) -> bool:
-        """Whether there is fog, or it is dark."""
-        return self.visibility_m is not None or self.night
+        air: dict[str, Any] = {"visibility_m": visibilities[0] if visibilities else None}
+        style = RenderStyle(True, **air | dict.fromkeys(SKIES & {*words}, True))
+        return cls(shaded, replace(style, caption=f"drawn as: {style.words}, whatever the state") if weather else None)
 
     def style(self) -> RenderStyle:
-        """The style of a scene that looks so.
-        Raises ModsimError if the visibility is no distance, or weather is asked for in a plain picture."""
-        return RenderStyle(self.shaded is not False, self.visibility_m, self.night)
+        """The style of a scene that looks so."""
+        return self.weather or RenderStyle(self.shaded is not False, by_state=True)
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ class PictureRequest:
         """Style of scenes, and whether boxes are drawn on such pictures too."""
 
         style = self.look.style()
-        boxes_on_scene = self.look.shaded is True or self.look.weather
+        boxes_on_scene = self.look.shaded is True or self.look.weather is not None
         # Unless shaded pictures are asked for, boxes stay on the plain style, in which they are seen best.
         if not style.shaded or not (boxes_on_scene or self.kind in ("scene", "all")):
             return PLAIN_STYLE, False

@@ -23,6 +23,7 @@ from modsim3d.truth.outlines import Outlines
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas, Window
+from modsim3d.world.floating_vessels import Sea
 from modsim3d.world.vessels import shoebox
 
 # ---- The solids before a camera at a step ----
@@ -40,6 +41,8 @@ class Solids:
     outlines: Outlines  # a row for each solid before the camera
     extents_m: Array  # length, beam and air draft of all vessels, shape (V, 3)
     sea_half_plane: Array  # the side of the horizon on which the sea lies, shape (3,)
+    waves: Sea | None = None  # of the scene
+    time_s: float = 0.0  # since the scene's first step
 
     @classmethod
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
@@ -47,7 +50,8 @@ class Solids:
         sight = scene.sight(camera, np.array([step]))
         extents_m = np.array([vessel.extents_m for vessel in scene.vessels]).reshape(-1, 3)
         (sea,) = scene.sea_half_planes(camera, np.array([step]))
-        return cls(sight, camera, sight.outlines(), extents_m, sea)
+        waves = scene.waves.sea if scene.waves else None
+        return cls(sight, camera, sight.outlines(), extents_m, sea, waves, float(scene.times_s(step, step + 1)[0]))
 
     @property
     def intrinsics(self) -> Intrinsics:
