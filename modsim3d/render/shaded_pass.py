@@ -43,6 +43,7 @@ class LitFaces:
     corners_camera: Array  # in CCF, none nearer than the near plane, shape (T, 3, 3)
     normals_camera: Array  # unit vectors in CCF towards the side that is seen, shape (T, 3)
     colours: Array  # red, green and blue as a screen has them (sRGB), from 0 to 1, shape (T, 3)
+    shade: Array | None = None  # by which the colour at each corner is multiplied, shape (T, 3); 1 if None
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,11 @@ class ShadedRenderer:
 
     def _mesh(self, faces: LitFaces, colours: Array) -> Any:
         nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # pixels behind are then not shaded
-        opaque = np.column_stack([colours, np.ones(len(colours))])
+        shade = np.ones((len(colours), 3)) if faces.shade is None else faces.shade
+        shown = np.clip(colours[:, None] * shade[..., None], 0, 1)[nearest_first].reshape(-1, 3)
         primitive = self._pyrender.Primitive(
             positions=faces.corners_camera[nearest_first].reshape(-1, 3),
-            color_0=np.repeat(opaque[nearest_first], 3, axis=0),
+            color_0=np.column_stack([shown, np.ones(len(shown))]),
             material=self._material,
             mode=self._pyrender.GLTF.TRIANGLES,
         )

@@ -25,6 +25,7 @@ from modsim3d.world.floating_vessels import Sea, jonswap_sea
 
 CONTRAST = 0.02  # the visibility is the distance at which a black thing keeps this contrast against the sky
 FOG_BELOW_M = 1000.0  # a visibility that the WMO calls fog, above it haze
+DRAWN_TO_RAD = 2.6  # direction of waves that only a look has
 PERIOD_OF_METRE_S = 4.4  # peak period of drawn waves of 1 m whose period nobody gives: that of a steepness of 1/30
 
 
@@ -97,8 +98,8 @@ PLAIN_STYLE = RenderStyle()
 
 @cache
 def _waves_of(height_m: float) -> Sea:
-    """A sea of some significant height, as steep as a young sea is, that travels along −w2."""
-    return jonswap_sea(height_m, PERIOD_OF_METRE_S * math.sqrt(height_m), -math.pi / 2, seed=0)
+    """A sea of some significant height, as steep as a young sea is."""
+    return jonswap_sea(height_m, PERIOD_OF_METRE_S * math.sqrt(height_m), DRAWN_TO_RAD, seed=0)
 
 
 Floats = NDArray[np.float32]
@@ -206,7 +207,9 @@ class Backdrop:
         colour: sRGB from 0 to 1, shape (h, w, 3).
         sea: Which pixels show the sea, shape (h, w).
         ripple: Strength of the ripples, about −1 to 1, shape (h, w).
-        wet: The rows in which there is sea.
+        wet: The rows in which there is sea; below they are r.
+        from_camera_m: Places on the sea along w1 and w2 from the camera, each of shape (r, w).
+        footprint_m: How much of the sea a pixel covers across its ray, shape (r, w).
     """
 
     def __init__(
@@ -226,20 +229,22 @@ class Backdrop:
         self.sea[wet] = up <= 0
         down = np.maximum(-up, np.float32(1e-6))
         distance = above / down
-        x, y = (world[..., axis] * distance + np.float32(position_m[axis]) for axis in (0, 1))
-        self.ripple[wet] = ripple = _ripple(x, y, distance, focal_px)
+        x, y = (world[..., axis] * distance for axis in (0, 1))
+        self.from_camera_m, self.footprint_m = (x, y), distance / np.float32(focal_px)
+        ripple = _ripple(x + np.float32(position_m[0]), y + np.float32(position_m[1]), distance, focal_px)
+        self.ripple[wet] = ripple
         # Seen along the surface, what counts is how waves are turned; their slopes make up for the angle.
         self._sine = down + ROUGHNESS * (1 + 0.45 * ripple)
         if sea is not None:
             way = math.cos(sea.direction_rad), math.sin(sea.direction_rad)
             self._gain = world[..., 0] * np.float32(way[0]) + world[..., 1] * np.float32(way[1])
             # A pixel is long along its ray, and then covers many waves.
-            footprint = distance / np.float32(focal_px) * (1 + np.abs(self._gain) / down)
-            along = (x - np.float32(position_m[0])) * np.float32(way[0]) + (y - np.float32(position_m[1])) * np.float32(
-                way[1]
-            )
+            footprint = self.footprint_m * (1 + np.abs(self._gain) / down)
+            along = x * np.float32(way[0]) + y * np.float32(way[1])
             self._index = _index(along + CREST_M * ripple, footprint)
-        self._glint = glow[wet] * (0.2 + np.maximum(1.6 * ripple, 0) ** 2) if style.sunny else None
+        glint = glow[wet] * (0.2 + np.maximum(1.6 * ripple, 0) ** 2)
+        self._glinting = (glint > 1 / 255).nonzero()
+        self._glint = glint[self._glinting]
         self._kept = np.exp(-style.extinction_per_m * distance) if style.extinction_per_m else None
         # A pixel on the horizon is part sea, part sky, so that the line has no steps.
         self._edge = (np.abs(up) < 0.5 / focal_px).nonzero()
@@ -247,30 +252,29 @@ class Backdrop:
         self._sky_there = self.colour[wet][self._edge]
         self._beyond = (~self.sea[wet]).nonzero()
         self._sky_beyond = self.colour[wet][self._beyond]
-        self.show(0.0)
+        self.draw_sea(self.colour, 0.0)
 
     @property
     def foam(self) -> Floats:
         """The colour of foam."""
         return np.array(palette_of(self._style).fog, np.float32) * np.float32(1.12)
 
-    def show(self, time_s: float) -> None:
-        """Draw the sea at a time."""
-        sine, wet, palette = self._sine, self.wet, palette_of(self._style)
+    def draw_sea(self, rgb: Floats, time_s: float) -> None:
+        """Draw the sea at a time into a picture, shape (h, w, 3)."""
+        sine, palette, at = self._sine, palette_of(self._style), self._edge
         if self.waves is not None:
             slopes = wave_slopes(self.waves, time_s, self._position_m)
             sine = np.maximum(sine + self._gain * slopes.take(self._index), np.float32(0.02))
-        colours, _ = _tables(palette)
-        colour = colours.take(_place(sine), axis=0)
-        if self._glint is not None:
-            colour += self._glint[..., None] * np.array(palette.sun, np.float32)
+        colour = _tables(palette)[0].take(_place(sine), axis=0)
+        colour[self._glinting] += self._glint[:, None] * np.array(palette.sun, np.float32)
         if self._kept is not None:
             air = np.array(palette.fog, np.float32)
-            colour = air + self._kept[..., None] * (colour - air)
-        at = self._edge
+            colour -= air
+            colour *= self._kept[..., None]
+            colour += air
         colour[self._beyond] = self._sky_beyond
         colour[at] = colour[at] * (1 - self._sky_share) + self._sky_there * self._sky_share
-        self.colour[wet], self._shown = colour, sine
+        rgb[self.wet], self._shown = colour, sine
 
     def mirror(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Floats:
         """Share of the light that the sea reflects at some pixels in wet rows, shape (n,)."""
@@ -284,8 +288,8 @@ def _sky(rays: Floats, turn: Floats, above_m: float, style: RenderStyle) -> tupl
     palette, up = palette_of(style), np.abs(world[..., 2])
     colour = _tables(palette)[0].take(_place(up) + TABLE, axis=0)
     far = 1 / (up + np.float32(CLOUD_FOOT))
-    shape = _clouds()[tuple((world[..., axis] * far * 60).astype(np.int32) & (TILE - 1) for axis in (0, 1))]
-    cover = np.clip(0.5 + 0.5 * shape, 0, 1) if style.overcast or style.rain else np.clip(shape - 0.35, 0, 0.7)
+    shape = _clouds()[tuple((world[..., axis] * far * 80).astype(np.int32) & (TILE - 1) for axis in (0, 1))]
+    cover = np.clip(0.5 + 0.5 * shape, 0, 1) if style.overcast or style.rain else np.clip(0.6 * shape - 0.15, 0, 1)
     cover = 0.55 * cover * np.minimum(up / np.float32(0.1), 1)
     colour += cover[..., None] * (np.array(palette.cloud, np.float32) - colour)
     glow = np.zeros_like(up)
@@ -333,7 +337,7 @@ def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style
 
 # ---- Waves and ripples ----
 
-WAVE_M, WAVE_SAMPLES, WAVE_LEVELS = 0.25, 4096, 7
+WAVE_M, WAVE_SAMPLES, WAVE_LEVELS = 0.25, 1024, 8
 """Spacing along the waves' way in a table of their slopes, which each level doubles; samples and levels."""
 
 
@@ -342,28 +346,24 @@ def wave_slopes(sea: Sea, time_s: float, position_m: Array) -> Floats:
     every `WAVE_M` · 2^l metres around a position in WCF, shape (3,), which is in its middle; waves that are too short
     for it are smoothed away."""
     numbers, side = sea.wave_numbers_rad_m, math.isqrt(WAVE_SAMPLES)
-    out = np.empty((WAVE_LEVELS, WAVE_SAMPLES), np.float32)
     phases = sea.phases_at(np.array([time_s]), position_m[None])[0]
+    out = np.empty((WAVE_LEVELS, WAVE_SAMPLES), np.float32)
+    fine, coarse = (np.exp(1j * np.outer(np.arange(side) * WAVE_M * each, numbers)) for each in (1, side))
+    first = coarse[side // 2].conj()  # from the middle to the first sample
     for level in range(WAVE_LEVELS):
-        step = WAVE_M * 2.0**level
-        strength = (
-            1j
-            * numbers
-            * sea.amplitudes_m
-            * np.exp(1j * (phases - numbers * step * WAVE_SAMPLES / 2) - (numbers * step / 2) ** 2)
-        )
-        coarse, fine = (np.exp(1j * np.outer(np.arange(side) * each, numbers)) for each in (side * step, step))
-        out[level] = ((coarse * strength) @ fine.T).real.ravel()
+        strength = numbers * sea.amplitudes_m * np.exp(-((numbers * WAVE_M * 2.0 ** (level - 1)) ** 2))
+        blocks = coarse * (1j * strength * np.exp(1j * phases) * first)
+        out[level] = (blocks.real @ fine.real.T - blocks.imag @ fine.imag.T).ravel()
+        fine, coarse, first = fine**2, coarse**2, first**2  # as each step is twice as long
     return out
 
 
 def _index(along_m: Floats, footprint_m: Floats) -> NDArray[np.int32]:
     """Places in the table of slopes, for distances from its middle and what a pixel covers there, in metres."""
-    level = np.clip(np.log2(footprint_m / np.float32(WAVE_M)), 0, WAVE_LEVELS - 1).astype(np.int32)
-    sample = (along_m * np.exp2(-level.astype(np.float32)) * np.float32(1 / WAVE_M)).astype(
-        np.int32
-    ) + WAVE_SAMPLES // 2
-    place: NDArray[np.int32] = level * WAVE_SAMPLES + (sample & (WAVE_SAMPLES - 1))
+    needed = np.maximum(footprint_m, np.abs(along_m) * np.float32(4.1 / WAVE_SAMPLES))  # so that it is in the table
+    level = np.clip(np.log2(needed * np.float32(1 / WAVE_M)), 0, WAVE_LEVELS - 1).astype(np.int32)
+    sample = (along_m * np.exp2(-level.astype(np.float32)) * np.float32(1 / WAVE_M)).astype(np.int32)
+    place: NDArray[np.int32] = level * WAVE_SAMPLES + ((sample + WAVE_SAMPLES // 2) & (WAVE_SAMPLES - 1))
     return place
 
 

@@ -4,6 +4,7 @@ Pixels show vessels as the ID buffer of the same size does. Light, fog and night
 from __future__ import annotations
 
 import math
+import re
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +16,7 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.view import palette
-from modsim3d.view.lights import SeenLight, is_hidden, lights_towards
+from modsim3d.view.lights import Sector, SeenLight, is_hidden, lights_towards
 from modsim3d.view.pictures.canvas import Canvas, Window, font, text_size
 from modsim3d.view.pictures.plain import Solids, occluder_colour
 from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, fogged, sun_of
@@ -25,35 +26,63 @@ from modsim3d.view.wakes import draw_wakes
 
 FAINTEST, BRIGHTEST = 0.35, 1.2  # brightness of the middle of the faintest light that an eye sees, and of a strong one
 MAX_PX = 4.0  # radius of the strongest light at a width of 1280
+MIRRORED, STREAK = 0.35, 7.0  # brightness of what the sea shows of a light, and how much longer than wide it is
+SIDES = (Sector.PORT, Sector.STARBOARD)
 
 
 def draw_lights(rgb: Floats, solids: Solids, window: Window, speeds_m_s: Array, extinction_per_m: float) -> None:
-    """Draw the lights before a camera that nothing hides into a picture, sRGB from 0 to 1, shape (h, w, 3).
-    For `speeds_m_s` and `extinction_per_m` see `lights_towards`."""
-    camera = solids.sight.camera_poses
+    """Draw the lights before a camera that nothing hides into a picture, sRGB from 0 to 1, shape (h, w, 3), and what
+    the sea shows of them. For `speeds_m_s` and `extinction_per_m` see `lights_towards`."""
+    unit, shown = window.size[0] / 1280, []
     for light in lights_towards(solids.sight, speeds_m_s, extinction_per_m):
-        seen_m = camera.to_camera(light.place_m[None, None])[0, 0]
-        if seen_m[2] <= solids.intrinsics.near_clip_m:
-            continue
-        place_px = solids.intrinsics.project(seen_m[None])[0]
-        x, y = window.to_picture(place_px).tolist()
-        if not (0 <= x < window.size[0] and 0 <= y < window.size[1]):
-            continue
-        if not is_hidden(solids, light.vessel, place_px, solids.intrinsics.near_clip_m / seen_m[2]):
-            _glow(rgb, np.array([x, y]), light, window.size[0] / 1280)
+        place = _place_px(solids, window, light.place_m, light.vessel)
+        if place is not None:
+            shown.append((light, place))
+    for light, place in shown:
+        # Sidelights that an eye can tell apart only by colour stand side by side: in one glow they would be yellow.
+        pair = [at for one, at in shown if one.vessel == light.vessel and one.lantern.sector in SIDES]
+        side = 0
+        if light.lantern.sector in SIDES and len(pair) == 2 and abs(pair[0][0] - pair[1][0]) < 4 * unit:
+            side = 1 if light.lantern.sector is Sector.PORT else -1  # seen from ahead, port is to the right
+            place = (pair[0] + pair[1]) / 2
+        _glow(rgb, place, light, unit, side)
+        below = _place_px(solids, window, light.place_m * (1, 1, -1), -1)
+        if below is not None:
+            _glow(rgb, np.array([place[0], below[1]]) if side else below, light, unit, side, mirrored=True)
 
 
-def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> None:
-    """A bright point in a halo. Its radius and its brightness grow with the logarithm of the light, as eyes see it."""
+def _place_px(solids: Solids, window: Window, place_m: Array, vessel: int) -> Array | None:
+    """Column and row of a place in WCF in a picture, shape (2,); None if it is not in it, or hidden by anything but a
+    vessel, of which the index is given."""
+    seen_m = solids.sight.camera_poses.to_camera(place_m[None, None])[0, 0]
+    if seen_m[2] <= solids.intrinsics.near_clip_m:
+        return None
+    place_px = solids.intrinsics.project(seen_m[None])[0]
+    at: Array = window.to_picture(place_px)
+    inside = (at >= 0).all() and (at < window.size).all()
+    return at if inside and not is_hidden(solids, vessel, place_px, solids.intrinsics.near_clip_m / seen_m[2]) else None
+
+
+def _glow(
+    rgb: Floats, place_px: Array, light: SeenLight, unit_px: float, side: int = 0, *, mirrored: bool = False
+) -> None:
+    """A bright point in a halo. Its radius and its brightness grow with the logarithm of the light, as eyes see it.
+    `side` is 1 for the right half only, −1 for the left. On the sea it is `mirrored` as a faint streak."""
     radius_px = max(1.0, unit_px * min(0.7 + 0.75 * light.decades, MAX_PX))
-    peak = min(FAINTEST + 0.4 * light.decades, BRIGHTEST)
-    reach = math.ceil(8 * radius_px)
+    peak = min(FAINTEST + 0.4 * light.decades, BRIGHTEST) * (MIRRORED if mirrored else 1)
+    high_px = radius_px * (STREAK if mirrored else 1)
     height, width = rgb.shape[:2]
     column, row = (math.floor(value) for value in place_px)
-    rows = np.arange(max(row - reach, 0), min(row + reach + 1, height))
+    reach, tall = math.ceil(8 * radius_px), math.ceil(8 * high_px if not mirrored else 2 * high_px)
+    rows = np.arange(max(row - tall, 0), min(row + tall + 1, height))
     columns = np.arange(max(column - reach, 0), min(column + reach + 1, width))
-    squared = ((rows + 0.5 - place_px[1])[:, None] ** 2 + (columns + 0.5 - place_px[0]) ** 2) / radius_px**2
-    strength = peak * (np.exp(-squared) + 0.2 * np.exp(-squared / 12))[..., None]
+    if side:
+        columns = columns[(columns + 0.5 - place_px[0]) * side > 0]
+        if not len(columns):
+            return
+    across = (columns + 0.5 - place_px[0] - 0.5 * side * radius_px) / radius_px
+    squared = ((rows + 0.5 - place_px[1])[:, None] / high_px) ** 2 + across**2
+    strength = peak * (np.exp(-squared) + (0 if mirrored else 0.2) * np.exp(-squared / 12))[..., None]
     light_rgb = (strength * light.lantern.colour.value).astype(np.float32)
     rgb[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += light_rgb
 
@@ -61,6 +90,8 @@ def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> Non
 SAMPLES = 2  # solids are drawn this much larger and shrunk, so that their edges have no steps
 REFLECTION = 0.8  # share of a vessel's light that a calm sea would show
 SMEAR = 6  # pixels, at a width of 1280, by which ripples move a reflection
+LAND = re.compile("island|isle|hill|shore|skerry|land|rock|cliff|coast|mountain|reef")  # in names of obstacles
+GREEN, DECK = (96, 112, 70), (150, 150, 144)  # of land, and of own ship's deck, which no other vessel is mixed with
 OVERHEAD = np.array([0.2, -0.3, 1.0])  # to the part of the sky that is brightest apart from the sun, in the world
 
 
@@ -91,7 +122,7 @@ class ShadedPictureRenderer:
         mirrored = _mirrored(faces, solids)
         regions = _region(faces, solids, window), _region(mirrored, solids, window, margin_px=2 * SMEAR)
         rgb = ground.begin(solids.time_s)
-        wakes = () if speeds_m_s is None else draw_wakes(rgb, ground.backdrop, rays, solids, window, speeds_m_s)
+        wakes = () if speeds_m_s is None else draw_wakes(rgb, ground.backdrop, solids, window, speeds_m_s)
         self._reflect(rgb, ground.backdrop, mirrored, solids, window, regions[1])
         self._stand(rgb, rays, faces, solids, window, regions[0], samples)
         rows = _rows((*regions, *wakes))
@@ -187,8 +218,7 @@ class _Ground:
         """Nothing but sea and sky at a time to draw on, sRGB from 0 to 1, shape (h, w, 3)."""
         self._rgb[self._changed] = self.backdrop.colour[self._changed]
         if self.backdrop.waves is not None:
-            self.backdrop.show(time_s)
-            self._rgb[self.backdrop.wet] = self.backdrop.colour[self.backdrop.wet]
+            self.backdrop.draw_sea(self._rgb, time_s)
         return self._rgb
 
     def end(self, rows: slice, inside: Mask) -> NDArray[np.uint8]:
@@ -225,9 +255,20 @@ def lit_faces(solids: Solids) -> LitFaces:
     snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
     depth = intrinsics.near_clip_m / triangles.inverse_depth
     flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
-    vessels = len(solids.extents_m)
-    colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()]).reshape(-1, 3)
-    return LitFaces(flat * depth[..., None], solids.normals_camera(), colours[triangles.row] / 255)
+    corners = flat * depth[..., None]
+    vessels, poses = len(solids.extents_m), solids.sight.camera_poses
+    own, names = solids.sight.carriers[0], [obstacle.name for obstacle in solids.sight.obstacles]
+    colours = []
+    for occluder in solids.occluders.tolist():
+        colour = occluder_colour(occluder, vessels)
+        if occluder >= vessels and LAND.search(names[occluder - vessels].lower()):
+            colour = palette.mixed(colour, GREEN, 0.6)
+        colours.append(palette.mixed(colour, DECK, 0.75) if occluder < vessels and own[occluder] else colour)
+    height_m = (corners @ poses.camera_R_world[0] + poses.positions_m[0])[..., 2]
+    shade = np.clip(0.72 + 0.04 * height_m, 0.72, 1.1)  # what stands in the water is darker at its foot
+    shade[solids.occluders[triangles.row] < vessels] = 1
+    rgb = np.array(colours).reshape(-1, 3)[triangles.row] / 255
+    return LitFaces(corners, solids.normals_camera(), rgb, shade)
 
 
 def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
@@ -240,7 +281,7 @@ def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
     # What is under water stands, turned over, within its own vessel's outline, and is drawn over: it is not cut off.
     kept = (world[..., 2] > 0).any(axis=1) & (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
     normals = (faces.normals_camera[kept] @ rotation * flip) @ rotation.T
-    return LitFaces(turned[kept], normals, faces.colours[kept])
+    return LitFaces(turned[kept], normals, faces.colours[kept], None if faces.shade is None else faces.shade[kept])
 
 
 def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:

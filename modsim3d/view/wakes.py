@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array
+from modsim3d.core.arrays import Array, Mask
 from modsim3d.render.id_pass import Region
 from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.plain import Solids
-from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays
+from modsim3d.view.sea_and_sky import Backdrop, Floats
 from modsim3d.world.floating_vessels import GRAVITY_M_S2
 
 LEAST_M_S = 0.5  # a slower vessel leaves none
@@ -32,15 +32,30 @@ class _Wake:
     @property
     def reach_m(self) -> float:
         """Distance behind the stern to which there is foam."""
-        return 2.5 * WAKE_S * self.speed_m_s
+        return 2.0 * WAKE_S * self.speed_m_s
+
+    @property
+    def wide_m(self) -> float:
+        """Half the width of the foam where it is widest."""
+        return self.beam_m + KELVIN * 2.5 * ARM_S * self.speed_m_s
 
     def corners_m(self) -> Array:
         """Corners of the part of the sea that may show foam, in WCF, shape (4, 3)."""
         port = np.array([-self.ahead[1], self.ahead[0]])
-        bow, stern = 0.6 * self.length_m, -0.5 * self.length_m - self.reach_m
-        wide = self.beam_m + KELVIN * 3 * ARM_S * self.speed_m_s
-        places = [self.origin_m[:2] + a * self.ahead + b * port for a in (bow, stern) for b in (-wide, wide)]
+        bow, stern = 0.5 * self.length_m, -0.5 * self.length_m - self.reach_m
+        places = [
+            self.origin_m[:2] + a * self.ahead + b * port for a in (bow, stern) for b in (-self.wide_m, self.wide_m)
+        ]
         return np.column_stack([places, np.zeros(4)])
+
+    def inside(self, x: Floats, y: Floats) -> Mask:
+        """Whether there may be foam at places from the origin in metres."""
+        along = x * np.float32(self.ahead[0]) + y * np.float32(self.ahead[1])
+        across = np.abs(y * np.float32(self.ahead[0]) - x * np.float32(self.ahead[1]))
+        aft = 0.5 * self.length_m - along
+        near = np.minimum(self.beam_m + KELVIN * 1.2 * aft, self.wide_m)
+        found: Mask = (aft > 0) & (aft < self.length_m + self.reach_m) & (across < near)
+        return found
 
     def foam(self, x: Floats, y: Floats, footprint_m: Floats) -> Floats:
         """Share of the sea that is foam at places from the origin in metres, each seen by a pixel of some size."""
@@ -59,7 +74,7 @@ class _Wake:
 
 
 def draw_wakes(
-    rgb: Floats, backdrop: Backdrop, rays: Rays, solids: Solids, window: Window, speeds_m_s: Array
+    rgb: Floats, backdrop: Backdrop, solids: Solids, window: Window, speeds_m_s: Array
 ) -> tuple[Region, ...]:
     """Draw the foam of the vessels before a camera into a picture, sRGB from 0 to 1, shape (h, w, 3), and return the
     regions that it may have changed. For `speeds_m_s` see `lights_towards`."""
@@ -73,22 +88,23 @@ def draw_wakes(
         ahead_of_camera = corners[:, 2] > solids.intrinsics.near_clip_m
         if not ahead_of_camera.any():
             continue
-        rows = backdrop.wet
-        region = Region(0, rows.start, window.size[0], rows.stop - rows.start)
+        rows, region = (
+            backdrop.wet,
+            Region(0, backdrop.wet.start, window.size[0], backdrop.wet.stop - backdrop.wet.start),
+        )
         if ahead_of_camera.all():
             places = window.to_picture(solids.intrinsics.project(corners))
             region = Region.around(np.concatenate([places.min(axis=0), places.max(axis=0)]), window.size)
-        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
-        if not region.width or not region.height:
+        top, stop = max(region.y, rows.start), min(region.y + region.height, rows.stop)
+        if region.width <= 0 or stop <= top:
             continue
-        world = rays.camera[here] @ poses.camera_R_world[0].astype(np.float32)
-        down = np.maximum(-world[..., 2], np.float32(1e-6))
-        distance = np.float32(max(float(poses.positions_m[0, 2]), 0.1)) / down
-        shift = poses.positions_m[0] - origin_m
-        x, y = (world[..., axis] * distance + np.float32(shift[axis]) for axis in (0, 1))
-        footprint = distance / np.float32(solids.intrinsics.focal_px[0] * window.scale)
-        share = wake.foam(x, y, footprint) * backdrop.sea[here]
-        share *= np.clip(0.75 + 0.9 * backdrop.ripple[here], 0.1, 1.2) * FOAM
-        rgb[here] += np.minimum(share, 0.9)[..., None] * (backdrop.foam - rgb[here])
+        here = np.s_[top - rows.start : stop - rows.start, region.x : region.x + region.width]
+        shift = (poses.positions_m[0] - origin_m).astype(np.float32)
+        x, y = (backdrop.from_camera_m[axis][here] + shift[axis] for axis in (0, 1))
+        row, column = wake.inside(x, y).nonzero()
+        share = wake.foam(x[row, column], y[row, column], backdrop.footprint_m[here][row, column])
+        row, column = row + top, column + region.x
+        share *= np.clip(0.75 + 0.9 * backdrop.ripple[row, column], 0.1, 1.2) * FOAM * backdrop.sea[row, column]
+        rgb[row, column] += np.minimum(share, 0.9)[:, None] * (backdrop.foam - rgb[row, column])
         regions.append(region)
     return tuple(regions)

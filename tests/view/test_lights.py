@@ -226,6 +226,20 @@ def test_lights_are_drawn_where_they_are_in_their_colours(tmp_path, heading_deg,
     assert 0 < hazy.sum() < 0.6 * rgb.sum() and 0.3 < hazy.max() < 0.8 * rgb.max()
 
 
+def test_a_yacht_right_ahead_shows_red_and_green_side_by_side_and_no_yellow_and_the_sea_mirrors_them(tmp_path):
+    """COLREG, Rule 25 b; a yellow light is that of a tow (Rule 24)."""
+    scene = load_scene(write_scene(tmp_path, {"yacht": ([11, 3.5, 16], [[0, 280, 0], [10, 250, 0]])}, 3))
+    solids, rgb = Solids.at(scene, scene.cameras[0], 0), np.zeros((600, 800, 3), np.float32)
+    draw_lights(rgb, solids, Window.whole((800, 600), 800), np.full(len(scene.vessels), 3.0), 0.0)
+    red, green = (rgb[..., one] > 2.5 * rgb[..., other] for one, other in ((0, 1), (1, 0)))
+    bright = rgb.max(axis=-1) > 0.2
+    assert (bright & red).any() and (bright & green).any() and not (bright & ~red & ~green).any()
+    columns, rows = ([np.nonzero(bright & each)[axis].mean() for each in (green, red)] for axis in (1, 0))
+    assert columns[0] < 400 < columns[1] and abs(rows[0] - rows[1]) < 1  # her port side is to the right
+    mirrored = np.nonzero((rgb.max(axis=-1) > 0.05)[320:])[0]
+    assert len(mirrored) > 10
+
+
 def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
     scene = scene_with(tmp_path, 900)
     sight, speeds = scene.sight(scene.cameras[0], np.array([0])), ground_speeds(scene, 0)

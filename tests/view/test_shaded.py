@@ -94,7 +94,7 @@ def test_each_vessel_shows_where_its_id_is(renderer, shaded, solids):
     window = Window.whole((800, 600), 800)
     ids = solids.ids(window, renderer)
     own = np.linspace(0, 1, 7)[solids.occluders[solids.triangles.row] + 1]
-    faces = replace(shaded_picture.lit_faces(solids), colours=np.column_stack([own, own, own]))
+    faces = replace(shaded_picture.lit_faces(solids), colours=np.column_stack([own, own, own]), shade=None)
     matrix, near = solids.intrinsics.matrix, solids.intrinsics.near_clip_m
     lit = shaded.draw(faces, matrix, near, (800, 600), [], (1.0, 1.0, 1.0))
     assert len(np.unique(ids)) >= 4 and (np.rint(lit.colour[..., 0] / 255 * 6) != ids).sum() <= 3
