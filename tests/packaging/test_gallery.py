@@ -45,8 +45,8 @@ def test_gallery_draws(gallery: Callable[..., str], tmp_path: Path, monkeypatch:
     """Those that take little time; a change of what the script calls is noticed here. Both show the first 151 steps."""
     load_scene = reading.load_scene
     monkeypatch.setattr(reading, "load_scene", lambda name, **options: load_scene(name, **options | {"steps": 151}))
-    written = gallery("--out", tmp_path, "looks.png", "map.png")
+    written = gallery("--out", tmp_path, "looks.jpg", "map.png")
     assert written.count("kB") == 2
-    for name in ("looks.png", "map.png"):
+    for name in ("looks.jpg", "map.png"):
         with Image.open(tmp_path / name) as picture:
             assert min(picture.size) > 500
