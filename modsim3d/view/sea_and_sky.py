@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from scipy.interpolate import RectBivariateSpline
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Intrinsics
+from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.scene import Scene
 from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.layers import WEATHER
@@ -107,6 +110,7 @@ Floats = NDArray[np.float32]
 GRID_PX = 16  # directions through a lens are found at every such pixel, and between them by cubic interpolation
 TILE, TILE_SEED = 512, 7
 TABLE = 8192
+SKIES = Path(__file__).with_name("skies.yaml")
 RIPPLE_PX, RIPPLE_M = 5.0, 0.4  # least size of ripples: roughly in the picture, at any distance, and in the world
 FADE_M = 1000.0  # at this distance ripples are half as strong
 FOG_DEPTH_M = 150.0  # height of the layer of fog, through which the sky is seen
@@ -119,46 +123,26 @@ SUN_SINE = {False: 0.76, True: 0.09}  # height of the sun by day, and at dusk
 SUN_WAY = np.array([-0.537, 0.844])  # direction to the sun on the sea, as in plain pictures
 
 
-@dataclass(frozen=True)
-class Palette:
-    """Colours of a time of day, sRGB from 0 to 1."""
-
-    zenith: tuple[float, float, float]
-    horizon: tuple[float, float, float]
-    water: tuple[float, float, float]
-    fog: tuple[float, float, float]
-    cloud: tuple[float, float, float]
-    sun: tuple[float, float, float] = (0.0, 0.0, 0.0)
+Rgb = tuple[float, float, float]
 
 
-DAY = Palette(
-    (0.30, 0.50, 0.75),
-    (0.80, 0.88, 0.93),
-    (0.03, 0.15, 0.22),
-    (0.80, 0.83, 0.85),
-    (0.97, 0.97, 0.97),
-    (1.0, 0.96, 0.88),
-)
-GREY_DAY = Palette((0.58, 0.61, 0.65), (0.76, 0.78, 0.80), (0.07, 0.13, 0.15), (0.75, 0.77, 0.79), (0.46, 0.49, 0.53))
-DUSK = Palette(
-    (0.13, 0.19, 0.38),
-    (0.60, 0.50, 0.50),
-    (0.02, 0.06, 0.10),
-    (0.42, 0.40, 0.44),
-    (0.45, 0.36, 0.42),
-    (1.0, 0.52, 0.22),
-)
-GREY_DUSK = Palette((0.20, 0.23, 0.29), (0.36, 0.38, 0.42), (0.03, 0.05, 0.07), (0.34, 0.36, 0.40), (0.13, 0.15, 0.20))
-NIGHT = Palette((0.015, 0.025, 0.06), (0.10, 0.13, 0.20), (0.008, 0.015, 0.03), (0.13, 0.14, 0.17), (0.06, 0.07, 0.10))
-GREY_NIGHT = Palette(
-    (0.02, 0.022, 0.03), (0.06, 0.065, 0.08), (0.006, 0.01, 0.02), (0.08, 0.085, 0.1), (0.01, 0.01, 0.016)
-)
+class Palette(NamedTuple):
+    """Colours of a sky and its sea, sRGB from 0 to 1."""
+
+    zenith: Rgb
+    horizon: Rgb
+    water: Rgb
+    fog: Rgb
+    cloud: Rgb
+    sun: Rgb = (0.0, 0.0, 0.0)
 
 
+@cache
 def palette_of(style: RenderStyle) -> Palette:
     """The colours of a style's weather."""
-    clear, grey = (NIGHT, GREY_NIGHT) if style.night else (DUSK, GREY_DUSK) if style.dusk else (DAY, GREY_DAY)
-    return grey if style.overcast or style.rain else clear
+    time = "night" if style.night else "dusk" if style.dusk else "day"
+    colours = load_yaml(SKIES, "skies")[f"grey {time}" if style.overcast or style.rain else time]
+    return Palette(**{name: tuple(colour) for name, colour in colours.items()})
 
 
 def sun_of(style: RenderStyle) -> Array:
@@ -217,7 +201,7 @@ class Backdrop:
     ) -> None:
         """Look with a rotation from WCF to CCF, shape (3, 3), from a position in WCF, shape (3,); `focal_px` pixels of
         the picture stand for a radian, near its middle."""
-        self._style, self._position_m, self.waves = style, position_m, sea
+        self.style, self._position_m, self.waves = style, position_m, sea
         above, turn = max(float(position_m[2]), 0.1), camera_R_world.astype(np.float32)
         self.colour, glow = _sky(rays.camera, turn, above, style)
         shape = rays.inside.shape
@@ -252,16 +236,12 @@ class Backdrop:
         self._sky_there = self.colour[wet][self._edge]
         self._beyond = (~self.sea[wet]).nonzero()
         self._sky_beyond = self.colour[wet][self._beyond]
-        self.draw_sea(self.colour, 0.0)
-
-    @property
-    def foam(self) -> Floats:
-        """The colour of foam."""
-        return np.array(palette_of(self._style).fog, np.float32) * np.float32(1.12)
+        if sea is None:
+            self.draw_sea(self.colour, 0.0)
 
     def draw_sea(self, rgb: Floats, time_s: float) -> None:
         """Draw the sea at a time into a picture, shape (h, w, 3)."""
-        sine, palette, at = self._sine, palette_of(self._style), self._edge
+        sine, palette, at = self._sine, palette_of(self.style), self._edge
         if self.waves is not None:
             slopes = wave_slopes(self.waves, time_s, self._position_m)
             sine = np.maximum(sine + self._gain * slopes.take(self._index), np.float32(0.02))
@@ -278,7 +258,7 @@ class Backdrop:
 
     def mirror(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Floats:
         """Share of the light that the sea reflects at some pixels in wet rows, shape (n,)."""
-        return _tables(palette_of(self._style))[1].take(_place(self._shown[rows - self.wet.start, columns]))
+        return _tables(palette_of(self.style))[1].take(_place(self._shown[rows - self.wet.start, columns]))
 
 
 def _sky(rays: Floats, turn: Floats, above_m: float, style: RenderStyle) -> tuple[Floats, Floats]:

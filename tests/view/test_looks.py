@@ -11,7 +11,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.keys import usual_look
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.view.pictures.layers import WEATHER
-from modsim3d.view.sea_and_sky import DAY, wave_slopes
+from modsim3d.view.sea_and_sky import palette_of, wave_slopes
 from modsim3d.view.shaded_picture import _lamps
 from tests.view.test_shaded import DAYLIGHT, painted, scene, shaded, solids  # noqa: F401
 
@@ -47,7 +47,7 @@ def test_a_picture_says_where_the_weather_of_a_state_is_not_drawn(scene):
 
 def test_fog_takes_the_contrast_of_a_far_vessel_by_koschmieders_law(renderer, shaded, scene, solids):
     """Koschmieder (1924): C = C0 e^(−3.912 d / V) against the air, here at the middle of each vessel's pixels."""
-    air, visibility_m = 255 * np.array(DAY.fog), 500.0
+    air, visibility_m = 255 * np.array(palette_of(DAYLIGHT).fog), 500.0
     clear, fog = (painted(shaded, solids, 800, style) for style in (DAYLIGHT, replace(DAYLIGHT, visibility_m=500.0)))
     ids, tried = solids.ids(Window.whole((800, 600), 800), renderer), 0
     for index in range(len(scene.vessels)):
@@ -125,3 +125,11 @@ def test_a_wrong_look_is_refused(looks, problem):
 def test_every_state_of_shipped_scenes_has_a_look_or_is_an_average_over_weathers():
     states = {state.name for name in shipped_scenes() for state in load_scene(name, steps=2).detector.states}
     assert {state for state in states if usual_look(state) is None} == {"excellent", "good", "bad", "terrible"}
+
+
+def test_foam_lies_on_the_sea_and_grows_with_the_speed(renderer, shaded, scene, solids):
+    shown = [painted(shaded, solids, 800, speeds_m_s=np.full(len(scene.vessels), speed)) for speed in (0.2, 2.0, 8.0)]
+    whiter = [(picture - shown[0]).sum(axis=-1) for picture in shown]
+    assert 0 == whiter[0].max() < 0.2 * whiter[1].sum() < 0.1 * whiter[2].sum()
+    assert (whiter[2][solids.ids(Window.whole((800, 600), 800), renderer) > 0] == 0).mean() > 0.97  # but for edges
+    assert not whiter[2][:250].any()

@@ -16,7 +16,7 @@ from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colo
 from modsim3d.truth.analytic import ROUNDING_PX
 from modsim3d.view import palette, shaded_picture
 from modsim3d.view.pictures.plain import Solids
-from modsim3d.view.sea_and_sky import DAY, Rays, RenderStyle, fogged
+from modsim3d.view.sea_and_sky import Rays, RenderStyle, fogged, palette_of
 from modsim3d.view.shaded_picture import ShadedPictureRenderer
 from tests.scenes import crossing
 
@@ -147,7 +147,7 @@ def test_sky_is_above_the_horizon_and_sea_below_and_an_empty_sea_is_drawn_too(sh
     horizon = round(-(a * 400 + c) / b * 0.8)
     assert picture[horizon - 30, 5].sum() > picture[horizon + 30, 5].sum() + 100
     high, deep = picture[3, 320], picture[-3, 320]
-    assert np.abs(high - 255 * np.array(DAY.zenith)).max() < 90
+    assert np.abs(high - 255 * np.array(palette_of(DAYLIGHT).zenith)).max() < 90
     assert deep.sum() < 0.6 * high.sum() and deep[2] > deep[0]
 
 
