@@ -231,17 +231,16 @@ class Backdrop:
         self._glint = glint[self._glinting]
         self._kept = np.exp(-style.extinction_per_m * distance) if style.extinction_per_m else None
         # A pixel on the horizon is part sea, part sky, so that the line has no steps.
-        self._edge = (np.abs(up) < 0.5 / focal_px).nonzero()
-        self._sky_share = (0.5 + up[self._edge] * np.float32(focal_px))[:, None]
-        self._sky_there = self.colour[wet][self._edge]
-        self._beyond = (~self.sea[wet]).nonzero()
-        self._sky_beyond = self.colour[wet][self._beyond]
+        share = np.clip(0.5 + up * np.float32(focal_px), 0, 1)
+        self._sky_at = share.nonzero()
+        self._sky_share = share[self._sky_at][:, None]
+        self._sky = self.colour[wet][self._sky_at]
         if sea is None:
             self.draw_sea(self.colour, 0.0)
 
     def draw_sea(self, rgb: Floats, time_s: float) -> None:
         """Draw the sea at a time into a picture, shape (h, w, 3)."""
-        sine, palette, at = self._sine, palette_of(self.style), self._edge
+        sine, palette, at = self._sine, palette_of(self.style), self._sky_at
         if self.waves is not None:
             slopes = wave_slopes(self.waves, time_s, self._position_m)
             sine = np.maximum(sine + self._gain * slopes.take(self._index), np.float32(0.02))
@@ -252,8 +251,7 @@ class Backdrop:
             colour -= air
             colour *= self._kept[..., None]
             colour += air
-        colour[self._beyond] = self._sky_beyond
-        colour[at] = colour[at] * (1 - self._sky_share) + self._sky_there * self._sky_share
+        colour[at] += self._sky_share * (self._sky - colour[at])
         rgb[self.wet], self._shown = colour, sine
 
     def mirror(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> Floats:

@@ -17,7 +17,7 @@ from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.view import palette
 from modsim3d.view.lights import Sector, SeenLight, is_hidden, lights_towards
-from modsim3d.view.pictures.canvas import Canvas, Window, font, text_size
+from modsim3d.view.pictures.canvas import Canvas, Window
 from modsim3d.view.pictures.plain import Solids, occluder_colour
 from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, fogged, sun_of
 from modsim3d.view.wakes import draw_wakes
@@ -133,7 +133,8 @@ class ShadedPictureRenderer:
         if self.style.rain:
             _rain(picture, int(solids.sight.steps[0]))
         if self.style.caption:
-            _write(picture, self.style.caption)
+            canvas, text = Canvas(picture), self.style.caption
+            canvas.plate(0, picture.height - canvas.plate_size(text)[1], text, palette.INK)
         return picture
 
     def _ground(self, rays: Rays, solids: Solids, window: Window) -> _Ground:
@@ -332,14 +333,3 @@ def _rain(picture: Image.Image, step: int) -> None:
         )
     light = round(2.5 * float(np.asarray(picture.resize((16, 9))).mean()) ** 0.86)
     picture.paste((light, light, light), (0, 0), veil)
-
-
-def _write(picture: Image.Image, text: str) -> None:
-    """A small line at the bottom left."""
-    canvas = Canvas(picture)
-    size = max(10, round(0.8 * canvas.text_px))
-    left, top, right, bottom = text_size(text, size)
-    pad = size // 3
-    y = picture.height - (bottom - top) - 2 * pad
-    canvas.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
-    canvas.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))
