@@ -194,6 +194,7 @@ class Backdrop:
         wet: The rows in which there is sea; below they are r.
         from_camera_m: Places on the sea along w1 and w2 from the camera, each of shape (r, w).
         footprint_m: How much of the sea a pixel covers across its ray, shape (r, w).
+        kept: Share of the sea's light that the air lets through, shape (r, w); None if all.
     """
 
     def __init__(
@@ -229,7 +230,7 @@ class Backdrop:
         glint = glow[wet] * (0.2 + np.maximum(1.6 * ripple, 0) ** 2)
         self._glinting = (glint > 1 / 255).nonzero()
         self._glint = glint[self._glinting]
-        self._kept = np.exp(-style.extinction_per_m * distance) if style.extinction_per_m else None
+        self.kept = np.exp(-style.extinction_per_m * distance) if style.extinction_per_m else None
         # A pixel on the horizon is part sea, part sky, so that the line has no steps.
         share = np.clip(0.5 + up * np.float32(focal_px), 0, 1)
         self._sky_at = share.nonzero()
@@ -246,10 +247,10 @@ class Backdrop:
             sine = np.maximum(sine + self._gain * slopes.take(self._index), np.float32(0.02))
         colour = _tables(palette)[0].take(_place(sine), axis=0)
         colour[self._glinting] += self._glint[:, None] * np.array(palette.sun, np.float32)
-        if self._kept is not None:
+        if self.kept is not None:
             air = np.array(palette.fog, np.float32)
             colour -= air
-            colour *= self._kept[..., None]
+            colour *= self.kept[..., None]
             colour += air
         colour[at] += self._sky_share * (self._sky - colour[at])
         rgb[self.wet], self._shown = colour, sine

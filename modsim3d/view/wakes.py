@@ -17,7 +17,7 @@ LEAST_M_S = 0.5  # a slower vessel leaves none
 WAKE_S, ARM_S = 14.0, 5.0  # in so much time the foam of the wake, and that of the bow wave, falls to a third
 KELVIN = math.tan(math.asin(1 / 3))  # half the angle of a ship's waves in deep water: 19.47° (Kelvin, 1887)
 FULL_M_S, FULL_FROUDE = 5.0, 0.4  # speed and Froude number at which wake and bow wave are white
-FOAM = 0.75  # share of the light that the whitest foam takes from the sea
+FOAM, WHITER = 0.75, 0.12  # share of a pixel that the whitest foam covers, and how much whiter than fog it is
 
 
 def draw_wakes(
@@ -26,7 +26,7 @@ def draw_wakes(
     """Draw the foam of the vessels before a camera into a picture, sRGB from 0 to 1, shape (h, w, 3), and return the
     regions that it may have changed. For `speeds_m_s` see `lights_towards`."""
     sight, regions, wet = solids.sight, [], backdrop.wet
-    poses, colour = sight.camera_poses, np.array(palette_of(backdrop.style).fog, np.float32) * np.float32(1.12)
+    poses, air = sight.camera_poses, np.array(palette_of(backdrop.style).fog, np.float32)
     for index in np.flatnonzero(sight.others[0] & (speeds_m_s > LEAST_M_S)).tolist():
         vessel, speed_m_s = sight.vessels[index], float(speeds_m_s[index])
         ahead, origin_m = sight.world_R_vessel[0, index, :2, 0], sight.poses.positions_m[0, index]
@@ -55,7 +55,8 @@ def draw_wakes(
         aft, across = np.maximum(-(x * ahead[0] + y * ahead[1]), 0), np.abs(y * ahead[0] - x * ahead[1])
         share = _foam(aft, across, backdrop.footprint_m[on_sea], vessel, speed_m_s)
         share *= np.clip(0.75 + 0.9 * backdrop.ripple[row, column], 0.1, 1.2) * FOAM
-        rgb[row, column] += np.minimum(share, 0.9)[:, None] * (colour - rgb[row, column])
+        kept = 1 if backdrop.kept is None else backdrop.kept[on_sea][:, None]  # foam is whiter than the air before it
+        rgb[row, column] += np.minimum(share, 0.9)[:, None] * (air * (1 + WHITER * kept) - rgb[row, column])
         regions.append(region)
     return tuple(regions)
 
