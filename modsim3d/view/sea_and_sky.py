@@ -275,7 +275,7 @@ def _sky(rays: Floats, turn: Floats, above_m: float, style: RenderStyle) -> tupl
     if style.sunny:
         sun = sun_of(style).astype(np.float32)
         near = np.maximum(world @ sun, 0)
-        around = near**8 * (0.55 if style.dusk else 0.2) + np.clip((near - 0.9996) * 8000, 0, 1)
+        around = near**8 * (0.55 if style.dusk else 0.2) + np.clip((near - 0.99993) * 30000, 0, 1)
         colour += around[..., None] * (np.array(palette.sun, np.float32) - colour)
         half = sun - world  # a wave that is turned so shows the sun: Cox & Munk (1954)
         slope = (half[..., 0] ** 2 + half[..., 1] ** 2) / np.maximum(half[..., 2], np.float32(0.01)) ** 2
