@@ -17,7 +17,7 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.view.films.files import FORMATS, check_encoder
 from modsim3d.view.films.film import Showing, draw_film, draw_picture
 from modsim3d.view.films.plan import WIDTH_PX, FilmPlan
-from modsim3d.view.films.request import Look, PictureRequest
+from modsim3d.view.films.request import PictureRequest, parse_look
 from modsim3d.view.followed_tracks import followed_tracks
 from modsim3d.view.map_marks import BirdsEye
 from modsim3d.view.map_picture import check_map, save_map
@@ -212,7 +212,7 @@ def _request(
     _check_width(width)
     names = tuple(name.strip() for name in layers.split(",")) if isinstance(layers, str) else layers
     part = crop if crop is None or isinstance(crop, str) else ",".join(f"{each:g}" for each in crop)
-    return PictureRequest(kind, names, part, width, Look() if look is None else Look.parse(look), tracks is not None)
+    return PictureRequest(kind, names, part, width, None if look is None else parse_look(look), tracks is not None)
 
 
 def _check_width(width: int | None) -> None:

@@ -1,8 +1,8 @@
 """Request for a film or a picture: what it shows of a run, checked before anything is read or drawn."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from dataclasses import dataclass, replace
+from typing import Any
 
 from modsim3d.core.errors import ModsimError, RendererError
 from modsim3d.io.validation import nearest
@@ -21,43 +21,30 @@ SKIES = {"overcast", "rain", "dusk", "night"}
 WITH_TRACKS = ("detections", "all")
 
 
-@dataclass(frozen=True)
-class Look:
-    """Look of a scene, as `--look` says it."""
-
-    shaded: bool | None = None  # in light and shade, or plain; that of the kind if None
-    weather: RenderStyle | None = None  # that of the detector's state if None
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """A look such as `plain`, or `night,fog:800`. Raises ModsimError for an unknown word, and for words that
-        contradict each other."""
-        words = [word.strip() for word in text.split(",")]
-        fogs = [word.removeprefix("fog:") for word in words if word.startswith("fog:")]
-        try:
-            visibilities = [float(fog) for fog in fogs]
-        except ValueError:
-            visibilities = []
-        known = {"shaded", "plain", "clear", *SKIES, *(f"fog:{fog}" for fog in fogs)}
-        strange = next((word for word in words if word not in known), None)
-        apart = ({"shaded", "plain"}, {"dusk", "night"}, {"clear", "overcast"}, {"clear", "rain"})
-        if strange or len(visibilities) != len(fogs) or len(fogs) > 1 or any(pair <= {*words} for pair in apart):
-            hint = f" ({nearest(strange, sorted(known))})" if strange else ""
-            raise ModsimError(
-                f"--look {text}: needs shaded or plain, clear or overcast, rain, dusk or night, fog:M with the "
-                f"visibility in metres, as in night,fog:800{hint}"
-            )
-        weather = [word for word in words if word not in ("shaded", "plain")]
-        if weather and "plain" in words:
-            raise ModsimError(f"--look {weather[0]} works in shaded pictures only: leave out plain")
-        shaded = "shaded" in words if {"shaded", "plain"} & {*words} else None
-        air: dict[str, Any] = {"visibility_m": visibilities[0] if visibilities else None}
-        style = RenderStyle(True, **air | dict.fromkeys(SKIES & {*words}, True))
-        return cls(shaded, replace(style, caption=f"drawn as: {style.words}, whatever the state") if weather else None)
-
-    def style(self) -> RenderStyle:
-        """The style of a scene that looks so."""
-        return self.weather or RenderStyle(self.shaded is not False, by_state=True)
+def parse_look(text: str) -> RenderStyle:
+    """The style of a look such as `plain`, or `night,fog:800`. Raises ModsimError for an unknown word, and for words
+    that contradict each other."""
+    words = [word.strip() for word in text.split(",")]
+    weather = [word for word in words if word not in ("shaded", "plain")]
+    fogs = [word.removeprefix("fog:") for word in words if word.startswith("fog:")]
+    try:
+        visibilities = [float(fog) for fog in fogs]
+    except ValueError:
+        visibilities = []
+    known = {"shaded", "plain", "clear", *SKIES, *(f"fog:{fog}" for fog in fogs)}
+    strange = next((word for word in words if word not in known), None)
+    apart = ({"shaded", "plain"}, {"dusk", "night"}, {"clear", "overcast"}, {"clear", "rain"})
+    if strange or len(visibilities) != len(fogs) or len(fogs) > 1 or any(pair <= {*words} for pair in apart):
+        hint = f" ({nearest(strange, sorted(known))})" if strange else ""
+        raise ModsimError(
+            f"--look {text}: needs shaded or plain, clear or overcast, rain, dusk or night, fog:M with the "
+            f"visibility in metres, as in night,fog:800{hint}"
+        )
+    if weather and "plain" in words:
+        raise ModsimError(f"--look {weather[0]} works in shaded pictures only: leave out plain")
+    air: dict[str, Any] = {"visibility_m": visibilities[0] if visibilities else None}
+    style = RenderStyle("plain" not in words, by_state=not weather, **air | dict.fromkeys(SKIES & {*words}, True))
+    return replace(style, caption=f"drawn as: {style.words}, whatever the state" if weather else "")
 
 
 @dataclass(frozen=True)
@@ -68,14 +55,14 @@ class PictureRequest:
     layers: Sequence[str] | None = None  # names of layers to draw over the image; those of the kind if None
     crop: str | None = None  # x_min,y_min,x_max,y_max in pixels, or `vessels`; all of the image if None
     width: int | None = None  # in pixels; the usual one if None
-    look: Look = field(default_factory=Look)
+    look: RenderStyle | None = None  # as `--look` says it; that of the kind if None
     with_tracks: bool = False  # whether tracks of a tracker are drawn
 
     def __post_init__(self) -> None:
         """Raise ModsimError if parts of the request do not go together, or if there is no such layer."""
         if self.with_tracks and self.kind not in WITH_TRACKS:
             raise ModsimError(f"--tracks works with --kind detections and all, not with {self.kind}")
-        if self.look != Look() and self.kind not in WITH_LOOK:
+        if self.look is not None and self.kind not in WITH_LOOK:
             raise ModsimError(f"--look works with --kind scene, detections and all, not with {self.kind}")
         if self.width is not None and self.width % 2:
             even = f"{self.width - 1} or {self.width + 1}"
@@ -118,8 +105,8 @@ class PictureRequest:
     def _style(self) -> tuple[RenderStyle, bool]:
         """Style of scenes, and whether boxes are drawn on such pictures too."""
 
-        style = self.look.style()
-        boxes_on_scene = self.look.shaded is True or self.look.weather is not None
+        style = self.look or RenderStyle(shaded=True, by_state=True)
+        boxes_on_scene = self.look is not None and style.shaded
         # Unless shaded pictures are asked for, boxes stay on the plain style, in which they are seen best.
         if not style.shaded or not (boxes_on_scene or self.kind in ("scene", "all")):
             return PLAIN_STYLE, False
