@@ -208,7 +208,8 @@ class FilmRenderer:
         camera = single and self._scene.cameras[self._plan.cameras[0]].name
         time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
         detector, age = states and f"detector {', '.join(states)}", single and _age(step_frames, 0)
-        drawn = self._plan.style.shaded and ("scene" in self._plan.kinds or self._plan.boxes_on_scene)
+        drawn = self._plan.style.shaded and self._scene.labels is None
+        drawn = drawn and ("scene" in self._plan.kinds or self._plan.boxes_on_scene)
         weather = states and not drawn and WEATHER
         parts = (self._scene.name, camera, time, step, detector, age, self._plan.note, weather)
         return "    ".join(part for part in parts if part)
