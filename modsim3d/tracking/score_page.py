@@ -35,6 +35,10 @@ GROUP_NAMES = {
     "label": "class",
 }
 """What tables call the groups of a breakdown."""
+_IN_FULL = Where.PAGE | Where.FULL
+JUDGED = (
+    "Occlusions survived: of those before which the tracker followed the vessel, so their number differs by tracker."
+)
 OF_SEEDS = "over detector seeds of this traffic; it says nothing about other traffic"
 PART_COLUMNS = COLUMNS[:5]
 PART_HEADER = ("", "tracker", *(name for name, _, _ in PART_COLUMNS))
@@ -89,6 +93,8 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
             "soft",
             Where.PAGE,
         )
+    judged = {score_outcome.survived_and_judged(found.occlusions)[1] for _, found in named_scores(scores)}
+    yield Text(JUDGED if len(judged) > 1 else "", "soft")
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     yield Text(f"{of_run} {score_outcome.remarks_of(scores)}", "soft")
     yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])
@@ -96,7 +102,9 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
         said = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
         yield Figure(partial(_alpha_chart, curves), f"{said}compare centres instead of IoU.")
     yield Heading("Rules")
-    yield Table("", (), rules_in_words(scores.rules))
+    rules = rules_in_words(scores.rules)
+    yield Table("", (), rules, where=_IN_FULL)
+    yield Table("", (), rules[:-3], where=Where.BRIEF)  # cameras, similarity and vessels
     yield Heading("Detector seeds")
     yield Text(seeds_in_words(scores), "soft")
     yield Table("", ("tracker", "score", "mean", "standard deviation", "95 % of the mean"), seed_rows(scores))
@@ -157,8 +165,8 @@ def _alpha_chart(curves: Mapping[str, Array]) -> str:
 def _breakdowns(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
     best, oracle = scores.trackers[0], score_outcome.best_reference(scores)
-    yield Heading(f"Where {best.name} loses vessels", where=Where.TERMINAL)
-    yield from _breakdown_tables([("", best.scores)], Where.TERMINAL)
+    yield Heading(f"Where {best.name} loses vessels", where=Where.FULL)
+    yield from _breakdown_tables([("", best.scores)], Where.FULL)
     named = [(each.name, each.scores) for each in scores.trackers] + ([("oracle", oracle)] if oracle else [])
     yield from _breakdown_tables(named, Where.PAGE)
     groups = [(GROUP_NAMES[group.name], group.explanation) for group in best.scores.breakdown]
@@ -191,7 +199,7 @@ def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iter
 def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
     shares = [(each, key, getattr(each, key)) for each in bins for key in keys]
     return [
-        Cell(survived_of(each) if key == "survived" else number(share, 2), share or 0.0, bar=True)
+        Cell(survived_of(each) if key == "survived" else number(share, 2), share, bar=True)
         for each, key, share in shares
     ]
 
@@ -322,12 +330,13 @@ def _in_world(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
             f"A track follows a vessel within {each.scores.gate_m:g} m. GOSPA: c = {distance.cutoff:g} m, "
             f"p = {distance.power:g}. Errors are averaged within each vessel, then over vessels.",
             "soft",
+            _IN_FULL,
         )
     for each in scores.world:
         met = each.scores.encounters
         yield Text(_encounters_in_words(each))
         missed = {place for place, vessel in enumerate(met) if _is_missed(vessel)}
-        yield Table("", ENCOUNTER_HEADER, _encounter_rows(met), bad=missed)
+        yield Table("", ENCOUNTER_HEADER, _encounter_rows(met), bad=missed, where=_IN_FULL)
         yield from _approaches(each.scores.approaches)
     if found := {each.name: each.scores.approaches for each in scores.world if each.scores.encounters}:
         said = "Median error of the predicted CPA. Dashed: of a perfect track, which foresees no alteration of course."
@@ -352,9 +361,9 @@ def _approaches(found: PredictedApproaches) -> Iterator[Block]:
 
     named = ("CPA error, m", "TCPA error, s", "perfect track, m")
     if found.by_time_left[0].in_view:
-        yield Text(about, "soft")
+        yield Text(about, "soft", _IN_FULL)
         columns = ("s before the CPA", *(name.replace("_", " ") for name in counts), *named)
-        yield Table("", columns, rows(found.by_time_left, counts))
+        yield Table("", columns, rows(found.by_time_left, counts), where=_IN_FULL)
         header = ("range from, m", "encounters", *named)
         yield Table("", header, rows(found.by_range, ("predicted",)), where=Where.PAGE)
 
@@ -390,10 +399,11 @@ def _is_missed(met: MetVessel) -> bool:
 
 
 def _encounters_in_words(each: score_outcome.WorldTrackScores) -> str:
-    """Number of vessels that met own ship, and what red means in the table of encounters."""
+    """Number of vessels that met own ship, and of those among them that no track followed, red in the table."""
     met = each.scores.encounters
     if not met:
         return f"{each.name}: no vessel came nearer to own ship."
     passed = sum(one.passed for one in met)
     said = f"{each.name}: {counted(len(met), 'vessel')} came nearer to own ship, and {passed} passed her in this run."
-    return f"{said} Red: a camera saw the vessel, and no track followed it." if any(map(_is_missed, met)) else said
+    missed = counted(sum(map(_is_missed, met)), "vessel")
+    return f"{said} No track followed {missed} of these that a camera saw." if any(map(_is_missed, met)) else said

@@ -34,7 +34,7 @@ def tracks(run: Path, tmp_path: Path) -> Path:
 
 
 def test_a_score_prints_trackers_beside_references_and_is_written_where_it_is_told(modsim3d, run, tracks, tmp_path):
-    said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa", 70, "--seeds", 2)
+    said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa", 70, "--seeds", 2, "-v")
     assert said.status == 0
     for part in (
         *("reference  ", "oracle association, smoothed", "oracle association, raw boxes", "occlusions survived"),
@@ -56,7 +56,8 @@ def test_a_score_prints_trackers_beside_references_and_is_written_where_it_is_to
 
 def test_where_vessels_are_lost_and_detector_seeds_are_tables_at_80_columns(modsim3d, run, tracks, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    lines = modsim3d("score", run, tracks, "--seeds", 2).out.splitlines()
+    assert len(modsim3d("score", run, tracks).out.splitlines()) <= 32  # about a screen
+    lines = modsim3d("score", run, tracks, "--seeds", 2, "-v").out.splitlines()
     first = lines.index("Where reference loses vessels")
     assert lines[first + 1].split() == ["by", "vessel-frames", "recall", "association"]
     table = lines[first + 2 : lines.index("", first)]

@@ -228,7 +228,7 @@ def test_distances_must_be_above_zero_and_the_page_marks_vessels_that_no_track_f
     w1_m, w2_m = PLACES_M[:9, CROSSER].T
     columns = {"time_s": TIMES_S[:9], "track": ["a"] * 9, "w1_m": w1_m, "w2_m": w2_m}
     page = score_page(score_run(run, track_files.write_csv(tmp_path / "one.csv", columns)))
-    assert "one: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
+    assert "2 vessels came nearer to own ship, and 1 passed her in this run. No track followed 1 vessel" in page
     assert page.count('<tr class="bad"><td data-label="vessel">anchored</td>') == page.count('<tr class="bad">') == 1
 
 

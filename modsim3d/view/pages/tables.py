@@ -14,6 +14,9 @@ td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
 td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wrap: anywhere; }
 .whole { white-space: nowrap; }
+.bar { display: inline-block; width: 3.5rem; height: 0.7rem; margin-right: 0.5rem; border-radius: 2px;
+  background: linear-gradient(to right, #3f94c4 calc(100% * var(--share)), var(--empty) 0);
+  --empty: color-mix(in srgb, var(--line) 50%, transparent); }
 @media screen and (min-width: 40.01rem) { .dense .whole { display: block; } }
 @media screen and (max-width: 40rem) {
   td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }
@@ -27,7 +30,7 @@ td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wra
 }
 """
 """Style of numbers, and of tables on a phone; it stands behind that of the page."""
-FILL = "#0072b2"  # of cells and bars that show a share
+FILL = "#0072b2"  # of cells that show a share
 _DIGIT, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
 _NUMBER = re.compile(
     r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*|∞)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
@@ -89,10 +92,10 @@ def _cell(cell: str | Cell, content: str, attributes: str) -> str:
     content = cell.draw() if cell.draw else content
     if cell.share is None:
         return f"<td{attributes}>{content}</td>"
-    fill = f"color-mix(in srgb, {FILL} {35 if cell.bar else 5 + 55 * cell.share:.0f}%, transparent)"
-    if cell.bar:  # of one width for a share in all columns, so that bars can be compared
-        width = f"{3.5 * min(max(cell.share, 0.0), 1.0):.3g}rem"
-        fill = f"linear-gradient(to right, {fill} {width}, transparent {width}); min-width: 3.5rem"
+    if cell.bar:
+        share = min(max(cell.share, 0.0), 1.0)
+        return f'<td{attributes}><span class="bar" style="--share: {share:.3g}"></span>{content}</td>'
+    fill = f"color-mix(in srgb, {FILL} {5 + 55 * cell.share:.0f}%, transparent)"
     return f'<td{attributes} style="background: {fill}; padding-left: 0.5rem">{content}</td>'
 
 

@@ -158,8 +158,13 @@ def test_axe_finds_nothing_serious_on_a_page_that_fits_a_phone_and_a_tablet(page
     for width in (390, 800):
         browser.resize((width, 800))
         assert browser.run(WIDEST) <= width, width
+        if name == "score":  # equal shares are equal bars in all columns, beside their names
+            assert len(set(browser.run(BARS))) == 1
 
 
+BARS = """[...document.querySelectorAll('.bar')].map((each) => {
+    const { left, width } = each.getBoundingClientRect();
+    return left >= each.parentElement.getBoundingClientRect().left && width; })"""
 PRINTED = """(() => { const rules = [...document.styleSheets].flatMap(sheet => [...sheet.cssRules]);
     const sheet = rules.find(rule => rule instanceof CSSPageRule).cssText;
     const shown = element => element.checkVisibility({contentVisibilityAuto: true, visibilityProperty: true});
