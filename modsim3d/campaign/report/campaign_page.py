@@ -205,7 +205,7 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
     yield Heading(f"Run {each.number}: {each.tracker}, {what}", 3)
     yield Text(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft")
     if each.moment_s is not None:
-        yield _picture(folder, each, each.moment_s)
+        yield moment_block(folder, each.number, each.tracker, each.moment_s)
     advance(1)
     for name, line in (("Make it again:", each.again), ("Film the moment:", each.film)):
         if line:
@@ -213,12 +213,12 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
             yield Text(line, "code")
 
 
-def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> Block:
+def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: float) -> Block:
     try:
-        picture = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
+        picture = moment_picture(remade(folder, number), moment_s, WIDTH_PX)
     except ModsimError as error:
         return Text(f"There is no picture: {error}", "soft")
-    caption = f"Run {each.number} at {moment_s:g} s: what is true, and the tracks of {each.tracker}."
+    caption = f"Run {number} at {moment_s:g} s: what is true, and the tracks of {tracker}."
     return Figure(partial(image, picture, caption, "jpeg", quality=QUALITY), caption)
 
 

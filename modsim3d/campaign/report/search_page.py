@@ -1,6 +1,6 @@
 """The page of a search: what it found is evidence of failure, never a rate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from modsim3d.campaign.done_rows import results_table
 from modsim3d.campaign.folder import CampaignFolder, files_of_campaign, opened_campaign
 from modsim3d.campaign.keys import Range, SearchKeys
 from modsim3d.campaign.plan import text_of
-from modsim3d.campaign.report.campaign_page import REPORT_FILE, campaign_page
+from modsim3d.campaign.report.campaign_page import REPORT_FILE, WORST, campaign_page, moment_block
 from modsim3d.campaign.report.campaign_page import lead as campaign_lead
 from modsim3d.campaign.report.words import Score, rests_on
 from modsim3d.campaign.search_folder import REFUSED, search_table
@@ -36,14 +36,6 @@ NO_RATE = (
 )
 
 
-def write_search_page(folder: CampaignFolder, path: Path, command: str | None = None) -> str:
-    """Write the page of a search, and return its first sentence. Raises ModsimError as `report_campaign`."""
-    search, table = folder.keys.search, search_table(folder)
-    assert search is not None
-    write_files({path: search_page(folder, search, table, command)})
-    return lead(search, table)
-
-
 def lead(search: SearchKeys, table: pa.Table) -> str:
     """Result of the search, in a sentence."""
     score = Score(search.minimise or search.maximise or "")
@@ -55,13 +47,19 @@ def lead(search: SearchKeys, table: pa.Table) -> str:
         return f"No trial has a value of {score.name} yet.{crashes}"
     first = done[0]
     return (
-        f"The {worst} {score.name} of {counted(len(table), 'trial')} is {three_digits(first[score.column])}, in trial "
+        f"The {worst} {score.name} of {counted(len(table), 'trial')} is {significant(first[score.column])}, in trial "
         f"{first['run']}.{crashes}"
     )
 
 
-def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, command: str | None = None) -> str:
-    """Page of a search as HTML; `command` is what it says it was made by, the call from Python if None."""
+def search_page(
+    folder: CampaignFolder,
+    search: SearchKeys,
+    table: pa.Table,
+    command: str | None = None,
+    advance: Callable[..., None] = lambda *_: None,
+) -> str:
+    """Page of a search as HTML; `command` and `advance` are the call and progress of `report_campaign`."""
     score = Score(search.minimise or search.maximise or "")
     left = f"Not finished: {len(table):,} of {counted(search.budget, 'trial')} are done."
     document = Document(
@@ -72,6 +70,7 @@ def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, com
             *_progress(search, score, table),
             Heading("The worst trials"),
             *_worst(folder, search, score, table),
+            *_moments(folder, score, _done(search, table)[:WORST], advance),
             Heading("Others"),
             *_others(table),
             Heading("Where it looked"),
@@ -107,7 +106,7 @@ def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.T
     rows = [
         (
             str(row["run"]),
-            three_digits(row[score.column]),
+            significant(row[score.column]),
             *(_value(row[key]) for key in search.over),
             str(row["traffic_seed"]),
             folder.reproducing(row["run"]),
@@ -116,6 +115,18 @@ def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.T
     ]
     header = ("trial", score.name, *search.over, "traffic seed", "make it again")
     return [Table("", header, rows), Text("" if rows else "There are none.")]
+
+
+def _moments(
+    folder: CampaignFolder, score: Score, rows: Sequence[dict[str, Any]], advance: Callable[..., None]
+) -> Iterator[Block]:
+    """Pictures of the moments at which trials went wrong; `advance(1)` follows each."""
+    shown = [row for row in rows if row.get("worst_s") is not None]
+    advance(0, len(shown))
+    for row in shown:
+        yield Heading(f"Trial {row['run']}: {score.name} {significant(row[score.column])}", 3)
+        yield moment_block(folder, row["run"], row["tracker"], row["worst_s"])
+        advance(1)
 
 
 def _others(table: pa.Table) -> list[Block]:
@@ -144,7 +155,12 @@ def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
 
 
 def _value(value: Any) -> str:
-    return three_digits(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+    return significant(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+
+
+def significant(value: float) -> str:
+    """A number with at least three digits behind the zeros, which tell small values of a search apart."""
+    return f"{value:#.3g}".replace("-", "−") if 0 < abs(value) < 0.1 else three_digits(value)
 
 
 # ---- Writes the page that a campaign has ----
@@ -175,7 +191,9 @@ def report_campaign(
     path = out_file(out, opened.path / REPORT_FILE)
     with claimed([path], overwrite=overwrite, inputs=files_of_campaign(opened)):
         if opened.keys.search is not None:
-            return Written((path,), (write_search_page(opened, path, call),))
+            trials = search_table(opened)
+            write_files({path: search_page(opened, opened.keys.search, trials, call, progress)})
+            return Written((path,), (lead(opened.keys.search, trials),))
         table = results_table(opened)
         verdicts = judged(opened.plan, table)
         write_files({path: campaign_page(opened, table, verdicts, progress, call)})

@@ -154,3 +154,37 @@ def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(b
     assert (after[int(top) : int(top + row), 8:120, 3] > 128).sum() > 30  # the name
     browser.hover("#timeline", 0.5, (top + row / 2) / browser.run("player.timeline.height"))
     assert f"boat_{vessels - 1}" in browser.text("#hint")
+
+
+BLANK = """(() => {
+    const blank = (canvas) => {
+        const { width, height } = canvas;
+        const copy = new OffscreenCanvas(width, height).getContext('2d', {willReadFrequently: true});
+        copy.drawImage(canvas, 0, 0);
+        return new Set(new Uint32Array(copy.getImageData(0, 0, width, height).data.buffer)).size < 4;
+    };
+    return [...document.querySelectorAll('canvas')].filter((each) => each.checkVisibility() && each.clientHeight)
+        .filter((each) => !each.width || blank(each)).map((each) => each.id || each.parentElement.id);
+})()"""
+CONTROLS = """[...document.querySelectorAll(
+    '.player button, .player input:not([type=search]), .player select, .player summary')]
+    .filter((each) => each.checkVisibility() && each.id !== 'save' && each.dataset.do !== 'keys')"""
+USE = """((each) => {{
+    if (each.matches('select')) {{
+        each.selectedIndex = each.options.length - 1;
+        each.dispatchEvent(new Event('change', {{bubbles: true}}));
+    }} else if (each.matches('[type=range]')) {{
+        each.value = (Number(each.min) + Number(each.max)) / 2;
+        each.dispatchEvent(new Event('input', {{bubbles: true}}));
+    }} else each.click();
+    return each.id || each.dataset.do || each.title || each.textContent;
+}})({}[{}])"""
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE])
+def test_no_canvas_is_blank_after_any_control(browser, tracks_page, size):
+    browser.open(tracks_page, size, hash=f"#step={BOATS}")
+    for number in range(browser.run(f"{CONTROLS}.length")):
+        used = browser.run(USE.format(CONTROLS, number))
+        browser.settle()
+        assert browser.run(f"player.waiting?.then(() => {BLANK}) ?? {BLANK}") == [], used
