@@ -15,7 +15,7 @@ from modsim3d.cli.shared import option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_document, print_table
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.text import listed
+from modsim3d.core.text import in_percent, listed
 
 if TYPE_CHECKING:
     from modsim3d.detector.model import DetectorModel
@@ -130,8 +130,8 @@ def _rows(scene: Scene, cameras: list[str], types: list[str]) -> list[tuple[str,
 
 
 def _state_facts(detector: DetectorModel) -> list[dict[str, Any]]:
-    """Mean miss rate of the labels and false alarms of each state: in an image, or, where they follow the vessels, for
-    each vessel detected in one."""
+    """Mean miss rate of the labels and false positives of each state: in an image, or, where they follow the vessels,
+    for each vessel detected in one."""
     shares, facts = detector.stationary_shares, []
     for state in detector.states:
         rate = state.false_discovery_rate
@@ -145,14 +145,14 @@ def _state_rows(detector: DetectorModel) -> list[tuple[str, str]]:
     shares, facts, rows, mean = detector.stationary_shares, _state_facts(detector), [], ""
     if len(shares) > 1:
         unforced = ", while no schedule forces one" if detector.performance.schedule else ""
-        named = ", ".join(f"{state} {share:.1%}" for state, share in shares.items())
+        named = ", ".join(f"{state} {in_percent(share, 1)}" for state, share in shares.items())
         rows.append(("states", f"in the long run {named}{unforced}"))
-        mean = f", {sum(each['share'] * each['miss_rate'] for each in facts):.1%} in the long run"
-    missed = ", ".join(f"{each['name']} {each['miss_rate']:.1%}" for each in facts)
+        mean = f", {in_percent(sum(each['share'] * each['miss_rate'] for each in facts), 1)} in the long run"
+    missed = ", ".join(f"{each['name']} {in_percent(each['miss_rate'], 1)}" for each in facts)
     alarms = ", ".join(f"{each['name']} {each['false_alarms']:.2g}" for each in facts)
     empty = detector.false_positives.numbers.empty_frames
     per = "an image" if empty else "for each vessel detected in an image"
-    return [*rows, ("missed", f"{missed}{mean}"), ("false alarms", f"{alarms} {per}")]
+    return [*rows, ("missed", f"{missed}{mean}"), ("false positives", f"{alarms} {per}")]
 
 
 def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:

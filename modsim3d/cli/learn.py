@@ -15,6 +15,7 @@ from modsim3d.cli.terminal import open_console, say_json, tell_files, timed, war
 from modsim3d.cli.terminal_tables import print_document, print_prose, print_table
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import out_file
+from modsim3d.core.text import in_percent
 
 if TYPE_CHECKING:
     from modsim3d.learn.bootstrap import Column, Interval
@@ -318,9 +319,10 @@ def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, 
     for name, was in before["states"].items():
         now, unit = after["states"][name], was["box_error"]["unit"]
         for label, old, new in zip(before["labels"], was["confusion"][-1], now["confusion"][-1], strict=True):
-            yield name, f"{label} missed", f"{old:.1%} → {new:.1%}"
+            yield name, f"{label} missed", f"{in_percent(old, 1)} → {in_percent(new, 1)}"
         if "false_discovery_rate" in was:
-            yield name, "false detections", f"{was['false_discovery_rate']:.1%} → {now['false_discovery_rate']:.1%}"
+            of_all = (in_percent(each["false_discovery_rate"], 1) for each in (was, now))
+            yield name, "false detections", " → ".join(of_all)
         else:
             key, rates = "false_positives_per_image", [each["false_positives"].get("rate") for each in (before, after)]
             old, new = (state.get(key, rate) for state, rate in zip((was, now), rates, strict=True))

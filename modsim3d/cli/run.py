@@ -58,8 +58,8 @@ def _rows(result: TruthResult) -> list[run_summary.Row]:
 
 def truth_warnings(result: TruthResult) -> list[str]:
     """Warnings to read before using the files, each a sentence."""
-    nothing = [] if result.counts.annotated else ["no box of the truth is to be detected: there are only false alarms"]
-    return nothing + run_summary.iou_warnings(result.counts)
+    nothing = "no box of the truth is to be detected: there are only false positives"
+    return [nothing] * (not result.counts.annotated) + run_summary.iou_warnings(result.counts)
 
 
 # ---- What `modsim3d run --json` and `modsim3d detect --json` say of a finished run ----

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from modsim3d.cli.shared import print_line, print_path
 from modsim3d.cli.terminal import open_console, warn
 from modsim3d.cli.terminal_tables import print_table
+from modsim3d.core.text import in_percent
 
 if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts
@@ -118,7 +119,7 @@ def detection_rows(counts: Counts) -> list[Row]:
         ("detected", str(counts.detected), share(counts.detected, counts.annotated, "annotated")),
         ("missed", str(counts.missed), share(counts.missed, counts.annotated, "annotated")),
         ("detections", str(every), f"in the files: {true} true + {counts.false_positives} false"),
-        ("false alarms", str(counts.false_positives), share(counts.false_positives, every, "detections")),
+        ("false positives", str(counts.false_positives), share(counts.false_positives, every, "detections")),
         *((name, str(count), share(count, true, "true detections")) for name, count in of_true),
     ]
 
@@ -197,10 +198,10 @@ def iou_warnings(counts: Counts) -> list[str]:
         return []
     return [
         f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their vessel: an "
-        "evaluation by IoU counts each as a miss and a false alarm"
+        "evaluation by IoU counts each as a miss and a false positive"
     ]
 
 
 def share(part: int, whole: int, of: str) -> str:
     """A share in words, such as `of 20 seen (5.0 %)`; empty of nothing."""
-    return f"of {whole} {of} ({part / whole:.1%})".replace("%", " %") if whole else ""
+    return f"of {whole} {of} ({in_percent(part / whole, 1)})" if whole else ""

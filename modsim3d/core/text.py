@@ -82,9 +82,14 @@ def with_interval(value: float | None, low: float | None, high: float | None, de
     return number(value, decimals) + (f" [{ends[0]}, {ends[1]}]" if known else "")
 
 
+def in_percent(share: float, decimals: int = 0) -> str:
+    """A share in percent."""
+    return f"{100 * share:.{decimals}f} %"
+
+
 def percent_of(part: float, whole: float) -> str:
     """A share in percent with one decimal; a dash of nothing."""
-    return f"{100 * part / whole:.1f} %" if whole else UNKNOWN
+    return in_percent(part / whole, 1) if whole else UNKNOWN
 
 
 def duration_text(seconds: float) -> str:

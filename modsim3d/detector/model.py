@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, read_only
-from modsim3d.core.text import column_table, counted, listed
+from modsim3d.core.text import column_table, counted, in_percent, listed
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.draws import BoxErrorLaw
 from modsim3d.detector.dropout import Dropout
@@ -64,7 +64,7 @@ class PerformanceState:
         """Its rate of false detections in words."""
         if math.isnan(self.false_discovery_rate):
             return f"{self.false_positives_per_image:g} false positives an image"
-        return f"false discovery rate {self.false_discovery_rate:.1%}"
+        return f"false discovery rate {in_percent(self.false_discovery_rate, 1)}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,7 +102,10 @@ class DetectorModel:
 
     def _repr_html_(self) -> str:
         """A notebook's table: for each state, how often each label is missed, and the share of false detections."""
-        rows = [[each.name, *(f"{miss:.1%}" for miss in each.confusion[-1]), each.false_rate] for each in self.states]
+        rows = [
+            [state.name, *(in_percent(miss, 1) for miss in state.confusion[-1]), state.false_rate]
+            for state in self.states
+        ]
         header = ["state", *(f"{label}: missed" for label in self.labels), "false detections"]
         return column_table(f"Detector: {self.in_words()}", header, rows)
 

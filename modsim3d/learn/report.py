@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.boxes import Overlaps, iou
-from modsim3d.core.text import counted, listed, percent_of
+from modsim3d.core.text import counted, in_percent, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import MIN_UNITS, Column
@@ -30,7 +30,7 @@ class NearGate:
     def remarks(self) -> tuple[str, ...]:
         """A remark for each state."""
         return tuple(
-            f"{share:.0%} of the matches{f' in {name}' if self.several else ''} have an IoU of less than "
+            f"{in_percent(share)} of the matches{f' in {name}' if self.several else ''} have an IoU of less than "
             f"{self.gate:.2g}: {self._meaning}"
             for name, share in self.shares
         )
@@ -40,7 +40,7 @@ class NearGate:
         """One remark for all states; empty without any."""
         if len(self.shares) < 2:
             return "".join(self.remarks)
-        shares = ", ".join(f"{share:.0%} in {name}" for name, share in self.shares)
+        shares = ", ".join(f"{in_percent(share)} in {name}" for name, share in self.shares)
         return f"Many matches have an IoU of less than {self.gate:.2g} ({shares}): {self._meaning}"
 
     @property
@@ -109,7 +109,7 @@ def lead(report: LearnReport) -> str:
     return (
         f"{len(labelled.images)} images, {len(labelled.annotations)} annotations, {len(labelled.results)} detections; "
         f"matched by {report.matched_by}, {counted}; "
-        f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
+        f"{in_percent(report.level)} intervals by bootstrap over {learned.units[None]} {drawn}."
     )
 
 
@@ -143,9 +143,9 @@ def how_well(report: LearnReport) -> str:
         return "There are too few images for intervals of the main numbers."
     where = " in the state where they are known least" if len(states) > 1 else ""
     return (
-        f"With {report.level:.0%} confidence its share of misses is known to within ±{100 * missed:.2g} percentage "
-        f"points, its share of false detections to within ±{100 * false:.2g}, and the spread of its box errors to "
-        f"within ±{100 * spread:.2g} %{where}."
+        f"With {in_percent(report.level)} confidence its share of misses is known to within ±{100 * missed:.2g} "
+        f"percentage points, its share of false detections to within ±{100 * false:.2g}, and the spread of its box errors "
+        f"to within ±{100 * spread:.2g} %{where}."
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Items, Table, Text, Tiles, Where
-from modsim3d.core.text import UNKNOWN, counted, with_interval
+from modsim3d.core.text import UNKNOWN, counted, in_percent, with_interval
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.box_errors import estimate
@@ -191,7 +191,8 @@ def _parameters(report: LearnReport) -> Table:
             told = np.isfinite([value, low, high]).all()
             interval = f"{low:.4g} to {high:.4g}" if told else "not known" if np.isnan(low) else UNKNOWN
             rows.append((each.key.at(place), f"{value:.4g}" if np.isfinite(value) else UNKNOWN, interval))
-    return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
+    header = ("number", "learned", f"{in_percent(report.level)} interval")
+    return Table("Numbers of the detector file", header, tuple(rows))
 
 
 def _long_run(report: LearnReport) -> list[Table]:
@@ -200,7 +201,7 @@ def _long_run(report: LearnReport) -> list[Table]:
     if not transitions.observed or len(states) == 1:
         return []
     shares = stationary_shares(transitions.matrix)  # every state follows every other, so there are such
-    rows = tuple((state, f"{share:.1%}") for state, share in zip(states, shares, strict=True))
+    rows = tuple((state, in_percent(share, 1)) for state, share in zip(states, shares, strict=True))
     return [Table("States in the long run, by the learned transition matrix", ("state", "share of time"), rows)]
 
 
@@ -331,7 +332,7 @@ def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources)
         options=(
             ("Matched by", report.matched_by),
             ("Least confidence", f"{settings.threshold:g}" if report.labelled.scored else "none: not given"),
-            ("Intervals", f"{report.level:.0%}, {settings.replicates:,} replicates of the bootstrap"),
+            ("Intervals", f"{in_percent(report.level)}, {settings.replicates:,} replicates of the bootstrap"),
             ("States", states),
         ),
         made_before=sources.made_before,

@@ -15,7 +15,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form, iou
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.text import column_table, counted, listed
+from modsim3d.core.text import column_table, counted, in_percent, listed
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene
@@ -82,7 +82,7 @@ class FrameTruth:
                 self.vessels[i],
                 self.labels[i],
                 _box(self.boxes_px[i]),
-                f"{self.visible_fraction[i]:.0%}" if np.isfinite(self.visible_fraction[i]) else "–",
+                in_percent(self.visible_fraction[i]) if np.isfinite(self.visible_fraction[i]) else "–",
                 "yes" if self.annotated[i] else "no",
                 "yes" if self.detected[i] else "no",
             )

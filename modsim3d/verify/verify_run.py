@@ -14,7 +14,7 @@ import orjson
 from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items, Table, Text, Tiles, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, in_percent
 from modsim3d.detector.file.reading import find_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.atomic_write import write_files
@@ -162,8 +162,8 @@ def document(verified: VerifiedRun) -> Document:
     about = (
         f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
         f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
-        f"that its test would not have rejected; the level of all tests together is {OVERALL_ALPHA:.0%}. “Noticed "
-        "from” is the smallest change of the file that this run would have shown, with 90 % power."
+        f"that its test would not have rejected; the level of all tests together is {in_percent(OVERALL_ALPHA)}. "
+        "“Noticed from” is the smallest change of the file that this run would have shown, with 90 % power."
     )
     misses_and_confidence = (
         "Left: how many frames in a row a vessel is missed; line: expected. Right: share of true ones among the "
@@ -211,13 +211,14 @@ def _notes(verification: Verification) -> Iterator[Block]:
 def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
     run, given = verified.run, verified.detector
     call = f"modsim3d.verify_run({str(run.folder)!r}{'' if given is None else f', {str(given)!r}'}).write(…)"
+    level = in_percent(OVERALL_ALPHA)
     named = () if given is None else (file_input("detector file that it is held against", given),)
     return Provenance(
         page="verification: does a run obey its detector file?",
         made_by=command or f"{call} from Python",
         inputs=(*named, *run_inputs(run)),
         seeds=run_seeds(run),
-        options=(("Level", f"{OVERALL_ALPHA:.0%} for all tests together, {verified.verification.alpha:.2g} for each"),),
+        options=(("Level", f"{level} for all tests together, {verified.verification.alpha:.2g} for each"),),
         made_before=run_versions(run),
     )
 

@@ -20,7 +20,7 @@ def test_run_says_what_happened_writes_the_same_contact_sheet_again_and_ctrl_c_e
         line = ("run", "simulation_1", "--mode", 2, "--steps", 160, "--out", out)
         assert command_line.call(monkeypatch, *line) == 0
         said = capsys.readouterr().out
-        rows = ("frames", "vessels seen", "partly hidden", "detections", "missed", "false alarms", "time per frame")
+        rows = ("frames", "vessels seen", "partly hidden", "detections", "missed", "false positives", "time per frame")
         assert all(word in said for word in (*rows, str(out)))
     with Image.open(tmp_path / "a/contact_sheet.png") as sheet:
         assert sheet.size[0] > 1000 and len(sheet.convert("RGB").getcolors(maxcolors=2**24)) > 20
@@ -50,11 +50,11 @@ def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):
 
 def test_commands_that_write_nothing_answer_and_check_knows_a_campaign_and_a_detector_by_their_keys(call):
     forced = ("--set", "detector.performance.schedule=[[10, bad]]")
-    states = "in the long run excellent 17.8%, good 32.2%, bad 32.2%, terrible 17.8%\n"
+    states = "in the long run excellent 17.8 %, good 32.2 %, bad 32.2 %, terrible 17.8 %\n"
     scenes = data_folder("scenes")
     for line, *parts in (
         (("check", "scene", "simulation_1"), "no problems found", states),
-        (("check", "scene", "simulation_1", *forced), "terrible 17.8%, while no schedule forces one\n"),
+        (("check", "scene", "simulation_1", *forced), "terrible 17.8 %, while no schedule forces one\n"),
         (("check", "scene", "strait"), "strait"),
         (("check", "scene", scenes / "campaigns" / "example.yaml"), "trackers"),
         (("check", "scene", scenes / "detectors" / "coastal.yaml"), "no problems found"),

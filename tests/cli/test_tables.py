@@ -74,7 +74,7 @@ def test_names_numbers_and_paths_are_not_broken_and_what_does_not_fit_stands_bel
     lines = printed(22, "", [("bow", "40", "10")], header=header)
     assert lines == ["camera  frames  false", "                alarms", "bow     40      10"]
     lines = printed(22, "", [("a_long_name", "40", "10")], header=header)
-    assert lines == ["a_long_name", "    frames 40", "    false alarms 10"]
+    assert lines == ["a_long_name", "    frames 40", "    false positives 10"]
     rows = [("visible", "all", "10"), ("", "half", "2")]  # neither a line nor a space for what has no name
     lines = printed(16, "", rows, header=("by", "", "recall of boxes"))
     assert lines == ["visible", "    all", "    recall of", "    boxes 10", "    half", "    recall of", "    boxes 2"]
@@ -151,7 +151,7 @@ def test_every_share_is_of_a_number_that_is_printed(strait: Scene, result: RunRe
         "detected": "annotated",
         "missed": "annotated",
         "gated": "missed",
-        "false alarms": "detections",
+        "false positives": "detections",
         **dict.fromkeys(("wrong class", "IoU below 0.5", "off their vessel", "box resampled"), "true detections"),
         "merged": "true detections",
     }
@@ -174,7 +174,7 @@ def test_counts_of_files_and_cameras_are_printed_unbroken_and_bad_boxes_warned_o
         assert set(" ".join(row).split()) <= words, row
     header, *rows = camera_rows(with_counts(result, bow=COUNTS, stern=Counts(frames=3)))
     assert dict(zip([" ".join(name.split()) for name in header], rows[0], strict=True)) == {
-        **{"camera": "bow", "frames": "1500", "annotated": "7458", "detected": "5933", "false alarms": "846"},
+        **{"camera": "bow", "frames": "1500", "annotated": "7458", "detected": "5933", "false positives": "846"},
         **{"wrong class": "596", "IoU < 0.5": "5868", "off vessel": "2635"},
     }
     assert rows[1][:3] == ("stern", "3", "0")

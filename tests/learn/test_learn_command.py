@@ -333,7 +333,7 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     assert unknown.startswith("Not known: states.all.confidence.false, false_positives.size; some 3 of 3 false")
     states = NearGate((("clear", 0.12), ("haze", 0.34)), 0.6, "another rule cuts off less", several=True)
     assert ["in clear have" in states.remarks[0], "in haze have" in states.remarks[1]] == [True, True]
-    assert "(12% in clear, 34% in haze)" in states.remark and states.remark.count("larger errors were cut off") == 1
+    assert "(12 % in clear, 34 % in haze)" in states.remark and states.remark.count("larger errors were cut off") == 1
     assert replace(states, shares=states.shares[:1]).remark == states.remarks[0] and NearGate().remark == ""
 
 

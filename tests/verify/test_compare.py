@@ -53,7 +53,7 @@ def whole(tmp_path_factory):
 def test_every_difference_in_a_scene_is_explained_and_page_and_terminal_say_what_the_file_says(whole):
     found, said, page = whole.figures, whole.said, whole.page
     assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
-    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
+    assert f"wrong in total {100 * found['rectangles_against_rendered']['wrong_share']:.1f} %" in said
     assert "UNEXPLAINED 0" in said and "compare.json" in said
     assert not re.search(r"https?://|\bsrc=\"(?!data:)|\bhref=(?!\"#)|<script|<link|@import|url\(", page)
     pictures = re.findall(r'<img src="data:image/png;base64,([A-Za-z0-9+/=]+)"', page)

@@ -134,7 +134,7 @@ def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
         assert mistakes_in(selection) == expected
         layout = FilmPlan(("detections",), (0, 1), 640, mistakes=expected).layout(run.scene)
         named = {entry.text for entry in layout.entries} & {NAMES[flag] for flag in Outcome}
-        assert named == {NAMES[flag] for flag in Outcome if flag & expected} | {"false alarm"}
+        assert named == {NAMES[flag] for flag in Outcome if flag & expected} | {"false positive"}
 
 
 def test_highlights_have_each_kind_of_mistake_that_the_run_has_and_boxes_off_the_largest_vessel(run):
@@ -146,7 +146,7 @@ def test_highlights_have_each_kind_of_mistake_that_the_run_has_and_boxes_off_the
         assert x0 < x1 and y0 < y1
     for ending in ("detected", "with IoU below 0.5", "by a box off the vessel", "missed"):
         assert any(text.endswith(ending) for text in said), ending
-    assert any("detected as " in text for text in said) and any(text.startswith("a false alarm") for text in said)
+    assert any("detected as " in text for text in said) and any(text.startswith("a false positive") for text in said)
     assert len(set(said)) == len(said)
     for frame in run.frames():
         for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):

@@ -214,6 +214,7 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
 
 
 def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: float) -> Block:
+    """The moment at which a run went wrong; a run that cannot be made again says why."""
     try:
         picture = moment_picture(remade(folder, number), moment_s, WIDTH_PX)
     except ModsimError as error:

@@ -12,7 +12,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.document import Table
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, in_percent
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.voyage.clock import SceneClock
@@ -98,7 +98,7 @@ def range_table(coverage: Coverage) -> Table:
             f"{int(whole[k]):,}",
             f"{int(matched[k]):,}",
             f"{int(whole[k] - matched[k]):,}",
-            f"{matched[k] / whole[k]:.0%}",
+            in_percent(matched[k] / whole[k]),
             "{:+.0f}° to {:+.0f}°".format(*coverage.bearings_between(edges[k], edges[k + 1])),
         )
         for k in np.flatnonzero(whole)
@@ -187,7 +187,7 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) ->
         likely = judged.lasting[thing]
         against = Behaviour(judged.things.behaviour[thing])
         why = "" if against is Behaviour.LIKE_A_VESSEL else f": {against.in_words}"
-        what = f"a vessel without a transponder ({likely:.0%})" if likely >= _HALF else f"false{why}"
+        what = f"a vessel without a transponder ({in_percent(likely)})" if likely >= _HALF else f"false{why}"
         if judged.empty[links.image[rows]].all():
             what = "false, in a stretch that is marked as empty"
         times = links.time_s[rows], links.image[rows]
@@ -248,7 +248,7 @@ def coverage_drawing(coverage: Coverage) -> str:
         parts.append(
             f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide - 2:.1f}" height="{high - 2:.1f}" '
             f'fill="rgb({red},{green},{blue})" fill-opacity="0.3"/>'
-            f'<text x="{middle:.1f}" y="{y + 14:.1f}" text-anchor="middle" font-weight="600">{share:.0%}</text>'
+            f'<text x="{middle:.1f}" y="{y + 14:.1f}" text-anchor="middle" font-weight="600">{in_percent(share)}</text>'
             f'<text x="{middle:.1f}" y="{y + 27:.1f}" text-anchor="middle" fill="var(--soft)">of {whole:,}</text>'
         )
     for place, edge in enumerate(bearings.tolist()):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.document import Block, Figure, Heading, Items, Table, Text
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, in_percent
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import match
 from modsim3d.geometry.camera import Camera
@@ -111,7 +111,7 @@ def _rate(column: Column | None, level: float, units: int) -> str:
 
 def _share(column: Column, level: float, units: int) -> str:
     low, high = column.interval(level, units)
-    return f"{float(column.estimate):.0%} ({float(low):.0%} to {float(high):.0%})"
+    return f"{in_percent(float(column.estimate))} ({in_percent(float(low))} to {in_percent(float(high))})"
 
 
 def learn_beside_unseen(

@@ -11,6 +11,7 @@ from PIL import Image
 from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Table, Text, Tiles, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
+from modsim3d.core.text import in_percent
 from modsim3d.io.atomic_write import encoded, write_files
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.render.id_pass import IdRenderer
@@ -33,6 +34,7 @@ Rows = list[tuple[str, str]]
 def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | None = None) -> Document:
     """The comparison, to be read; its pictures need a renderer. A page has no times."""
     figures, rule = comparison.figures, comparison.figures.rectangles_against_rendered
+    wrong = in_percent(rule.wrong_share, 1)
     said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
     agreed, largest = ("Agreement", "Full box", "Visible part"), "largest difference of a side"
     full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
@@ -48,7 +50,7 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
                     ("Unexplained", f"{figures.unexplained:,}", f"of {figures.vessel_frames:,} vessel-frames"),
                     ("Full box", f"{figures.full_box.side_max_px:.2f} px", largest),
                     ("Visible box", f"{figures.visible_box.side_max_px:.2f} px", largest),
-                    ("Rectangle rule wrong", f"{rule.wrong_share:.1%}", f"of {rule.occluded:,} occluded vessel-frames"),
+                    ("Rectangle rule wrong", wrong, f"of {rule.occluded:,} occluded vessel-frames"),
                 ]
             ),
             Heading("Rendered against drawn and analytic"),
@@ -93,7 +95,7 @@ def _rule_rows(rule: RuleFigures) -> Rows:
         (f"a side off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
         ("hidden vessel kept", _share(rule.hidden_vessel_kept, rule.occluded)),
         ("visible vessel dropped", _share(rule.visible_vessel_dropped, rule.occluded)),
-        ("wrong in total", f"{rule.wrong_share:.1%}"),
+        ("wrong in total", in_percent(rule.wrong_share, 1)),
     ]
 
 
@@ -131,7 +133,7 @@ def _up_to(greatest: float, p99: float, digits: int, unit: str = "") -> str:
 
 
 def _share(part: int, whole: int) -> str:
-    return f"{part} ({part / whole:.1%})" if whole else str(part)
+    return f"{part} ({in_percent(part / whole, 1)})" if whole else str(part)
 
 
 def _provenance(

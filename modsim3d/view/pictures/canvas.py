@@ -232,7 +232,7 @@ class Label:
     below: bool = False
     short: str = ""  # written instead where the text would cover too much; never if empty
     optional: bool = False  # left out where it would cover too much
-    vessel: str | None = None  # that it is about, None for a false alarm or a track
+    vessel: str | None = None  # that it is about, None for a false positive or a track
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:

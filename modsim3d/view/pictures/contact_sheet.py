@@ -115,7 +115,7 @@ def _of_detection(rows: RunRows, index: int) -> Highlight:
     box, vessel, what = rows.detection_boxes_px()[index : index + 1], row["vessel"], ""
     if rows.outcomes[index] & Outcome.FALSE_POSITIVE:
         double = f", {row['kind']} of {vessel}" if vessel else ""
-        what = f"a false alarm{double}: {row['label']} {row['confidence']:.2f}"
+        what = f"a false positive{double}: {row['label']} {row['confidence']:.2f}"
         vessel = None
     else:
         box = unions(box, rows.annotated_boxes_px[rows.detected_row[index : index + 1]])

@@ -54,7 +54,7 @@ DETECTIONS = Layers.of(
 # ---- Words for a detection, and for the detector, in pictures and recordings ----
 
 NAMES = {
-    Outcome.FALSE_POSITIVE: "false alarm",
+    Outcome.FALSE_POSITIVE: "false positive",
     Outcome.MISLABELLED: "wrong class",
     Outcome.BELOW_HALF_IOU: "IoU below 0.5",
     Outcome.OFF_VESSEL: "off its vessel",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.arrays import Indices, Mask
+from modsim3d.core.text import percent_of
 from modsim3d.runs.counts import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
@@ -16,7 +17,8 @@ Rows = list[tuple[str, ...]]
 
 _DETECTED = ("Annotated", "Detected", "Missed", "Miss rate")
 _BOXES = ("Wrong class", "IoU below 0.5", "Off its vessel")
-_FALSE = ("False alarms", "Share of detections")
+_FALSE = ("False positives", "Share of detections")
+_whole = "{:,}".format
 VESSEL_HEADER = ("Vessel", "Frames", "Partly hidden", "Wholly hidden", *_DETECTED, *_BOXES)
 STATE_HEADER = ("Performance state", "Frames", *_DETECTED, *_BOXES, *_FALSE)
 CAMERA_HEADER = ("Camera", "Frames", *_DETECTED, *_BOXES, *_FALSE)
@@ -51,22 +53,23 @@ class DetectorCounts:
 
     def named(self) -> Rows:
         """Name, count and what the count is a share of."""
-        every, true = f"of {self.detections} detections", f"of {self.true_detections} true detections"
-        return [
-            ("Annotated", str(self.annotated), "vessels in frames, given to the detector"),
-            ("Detected", str(self.detected), f"{_share(self.detected, self.annotated)} of annotated"),
-            ("Missed", str(self.missed), f"{_share(self.missed, self.annotated)} of annotated"),
-            ("False alarms", str(self.false_positives), f"{_share(self.false_positives, self.detections)} {every}"),
-            ("Wrong class", str(self.mislabelled), f"{_share(self.mislabelled, self.true_detections)} {true}"),
-            ("IoU below 0.5", str(self.below_half_iou), f"{_share(self.below_half_iou, self.true_detections)} {true}"),
-            ("Off their vessel", str(self.off_vessel), f"{_share(self.off_vessel, self.true_detections)} {true}"),
-        ]
+        every, true = f"of {self.detections:,} detections", f"of {self.true_detections:,} true detections"
+        shares = (
+            ("Detected", self.detected, self.annotated, "of annotated"),
+            ("Missed", self.missed, self.annotated, "of annotated"),
+            ("False positives", self.false_positives, self.detections, every),
+            ("Wrong class", self.mislabelled, self.true_detections, true),
+            ("IoU below 0.5", self.below_half_iou, self.true_detections, true),
+            ("Off their vessel", self.off_vessel, self.true_detections, true),
+        )
+        said = [(name, f"{count:,}", f"{percent_of(count, whole)} {of}") for name, count, whole, of in shares]
+        return [("Annotated", f"{self.annotated:,}", "vessels in frames, given to the detector"), *said]
 
     def cells(self) -> tuple[str, ...]:
         """The columns `_DETECTED` and `_BOXES` of a table."""
         boxes = self.mislabelled, self.below_half_iou, self.off_vessel
-        detected = *map(str, (self.annotated, self.detected, self.missed)), _share(self.missed, self.annotated)
-        return *detected, *map(str, boxes)
+        detected = *map(_whole, (self.annotated, self.detected, self.missed)), percent_of(self.missed, self.annotated)
+        return *detected, *map(_whole, boxes)
 
 
 class CountTables:
@@ -101,10 +104,10 @@ class CountTables:
         """Name, count and its share of everything that happened, summed over frames."""
         vessels, partly_hidden, wholly_hidden = (self._overall.of(name, 0) for name in _SEEN)
         return [
-            ("Frames", str(self._overall.of("frames", 0)), ""),
-            ("Vessels in frames", str(vessels), "summed over frames"),
-            ("Partly hidden", str(partly_hidden), f"{_share(partly_hidden, vessels)} of vessels in frames"),
-            ("Wholly hidden", str(wholly_hidden), ""),
+            ("Frames", _whole(self._overall.of("frames", 0)), ""),
+            ("Vessels in frames", _whole(vessels), "summed over frames"),
+            ("Partly hidden", _whole(partly_hidden), f"{percent_of(partly_hidden, vessels)} of vessels in frames"),
+            ("Wholly hidden", _whole(wholly_hidden), ""),
             *self.total.named(),
         ]
 
@@ -112,7 +115,7 @@ class CountTables:
         """A row for each vessel, with the columns of `VESSEL_HEADER`."""
         tally = self._of_vessels
         return [
-            (name, *(str(tally.of(column, index)) for column in _SEEN), *tally.counts(index).cells())
+            (name, *(_whole(tally.of(column, index)) for column in _SEEN), *tally.counts(index).cells())
             for index, name in enumerate(self._scene.vessel_names)
         ]
 
@@ -152,8 +155,8 @@ class _Tally:
         rows = []
         for index, name in enumerate(names):
             counts = self.counts(index)
-            false = str(counts.false_positives), _share(counts.false_positives, counts.detections)
-            rows.append((name, str(self.of("frames", index)), *counts.cells(), *false))
+            false = _whole(counts.false_positives), percent_of(counts.false_positives, counts.detections)
+            rows.append((name, _whole(self.of("frames", index)), *counts.cells(), *false))
         return rows
 
 
@@ -191,8 +194,3 @@ def named_values(values: dict[str, Any], prefix: str = "") -> Rows:
         else:
             rows.append((name, ", ".join(map(str, value)) if isinstance(value, list) else str(value)))
     return rows
-
-
-def _share(part: float, whole: float) -> str:
-    """A percentage; a dash where there is nothing to have a share of."""
-    return f"{part / whole:.1%}" if whole else "–"

@@ -14,7 +14,7 @@ from typing import Any
 import orjson
 
 from modsim3d.core.errors import RunDirectoryError
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, in_percent
 from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
@@ -254,10 +254,10 @@ def _result(counts: count_tables.DetectorCounts) -> str:
     if counts.bad_share <= LOUD_SHARE:
         return result
     return (
-        f"<p class=warning><strong>{counts.bad_share:.1%} of the boxes do not fit their vessels.</strong> "
-        f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their vessel's "
-        f"annotated box; {counts.off_vessel} of them do not touch it. An evaluation that matches by IoU counts "
-        f"each as a miss and a false alarm.</p>\n{result}"
+        f"<p class=warning><strong>{in_percent(counts.bad_share, 1)} of the boxes do not fit their vessels.</strong> "
+        f"{counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with their vessel's "
+        f"annotated box; {counts.off_vessel:,} of them do not touch it. An evaluation that matches by IoU counts "
+        f"each as a miss and a false positive.</p>\n{result}"
     )
 
 

@@ -379,7 +379,7 @@ def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(call, refuse_tr
     refuse_truth(tmp_path / "gt.txt", (*THESIS, *per_image), "but there are none: give false_positives a size")
     size = ("--set", "detector.false_positives.size={model: fixed, px: [20, 10]}")
     line = ("detect", "--truth", tmp_path / "gt.txt", *THESIS, *per_image, *size, "--out", tmp_path / "out")
-    answer(call, line, "no box of the truth is to be detected: there are only false alarms")
+    answer(call, line, "no box of the truth is to be detected: there are only false positives")
     assert len((tmp_path / "out" / "det" / "det.txt").read_text().splitlines()) > 50
 
 

@@ -65,7 +65,7 @@ def test_the_detections_have_a_table_that_follows_steps_but_not_play(browser, mi
             assert cells[name] == ("" if row[name] is None else str(row[name]))
         assert math.isclose(float(cells["confidence"]), row["confidence"], abs_tol=5.1e-4)
         assert math.isclose(float(cells["x_max_px"]), row["x_max_px"], abs_tol=0.051)
-        assert (cells["outcome"] == "false alarm") == (row["kind"] not in ("true", "merged", "split"))
+        assert (cells["outcome"] == "false positive") == (row["kind"] not in ("true", "merged", "split"))
     assert f"step {STEP}" in browser.text("#numbersOf")
     browser.run("(player.playback.playing = true, player.go(20))")
     assert f"step {STEP}" in browser.text("#numbersOf")

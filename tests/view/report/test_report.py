@@ -76,35 +76,40 @@ def test_silhouettes_have_the_boxes_of_the_truth(page):
     np.testing.assert_allclose(drawn, columns["full"].reshape(-1, 4) * facts["quantum"], atol=1.01 * facts["quantum"])
 
 
+def whole(number):
+    return int(number.replace(",", ""))
+
+
 def test_counts_are_those_of_the_run(page, run_folder):
     run = json.loads((run_folder / "run.json").read_text())
     counts, by_camera = run["counts"], run["camera_counts"]
-    titles = {"vessel_frames": "Vessels in frames", "fully_hidden": "Wholly hidden", "false_positives": "False alarms"}
-    titles |= {"mislabelled": "Wrong class", "below_half_iou": "IoU below 0.5", "off_vessel": "Off their vessel"}
+    titles = {"vessel_frames": "Vessels in frames", "fully_hidden": "Wholly hidden", "mislabelled": "Wrong class"}
+    titles |= {"false_positives": "False positives", "below_half_iou": "IoU below 0.5"}
+    titles["off_vessel"] = "Off their vessel"
     alike = ("frames", "partly_hidden", "annotated", "detected", "missed")
     titles |= {name: name.replace("_", " ").capitalize() for name in alike}
-    said = {title: int(number) for title, number, *_ in table_after(page, "What happened")}
+    said = {title: whole(number) for title, number, *_ in table_after(page, "What happened")}
     assert said == {title: counts[name] for name, title in titles.items()}
     names = ("annotated", "detected", "missed", "mislabelled", "below_half_iou", "off_vessel", "false_positives")
     state, vessel = (2, 3, 4, 6, 7, 8, 9), (4, 5, 6, 8, 9, 10)
     tables = {"By vessel": vessel, "By performance state of the detector": state, "By camera": state}
     for title, columns in tables.items():
         rows = table_after(page, title)[1:]
-        sums = [sum(int(row[column]) for row in rows) for column in columns]
+        sums = [sum(whole(row[column]) for row in rows) for column in columns]
         assert sums == [counts[name] for name in names][: len(columns)], title
     for row in table_after(page, "By camera")[1:]:
-        assert [int(row[i]) for i in (1, *state)] == [by_camera[row[0]][name] for name in ("frames", *names)]
+        assert [whole(row[i]) for i in (1, *state)] == [by_camera[row[0]][name] for name in ("frames", *names)]
 
 
 def first_said(page):
     """Name, number and meaning of what the page says first, and the numbers of its warning of bad boxes, if any."""
     text = page.read_text(encoding="utf-8")
     assert text.index("<dl class=result>") < text.index('id="stage"')
-    tiles = re.findall(r"<div><dt>(.*?)</dt><dd>(\d+)</dd><dd>(.*?)</dd></div>", text)
-    pattern = r"<strong>([\d.]+%) of the boxes do not fit .*?</strong>"
-    pattern += r" (\d+) of (\d+) true .*?; (\d+) of them do not touch"
+    tiles = re.findall(r"<div><dt>(.*?)</dt><dd>([\d,]+)</dd><dd>(.*?)</dd></div>", text)
+    pattern = r"<strong>([\d.]+ %) of the boxes do not fit .*?</strong>"
+    pattern += r" ([\d,]+) of ([\d,]+) true .*?; ([\d,]+) of them do not touch"
     warning = re.search(pattern, text, re.DOTALL)
-    return {name: (int(number), meaning) for name, number, meaning in tiles}, warning and list(warning.groups())
+    return {name: (whole(number), meaning) for name, number, meaning in tiles}, warning and list(warning.groups())
 
 
 def test_the_result_comes_first_with_a_warning_only_where_many_boxes_are_bad(mistaken_page, mistaken_folder, tmp_path):
@@ -112,21 +117,21 @@ def test_the_result_comes_first_with_a_warning_only_where_many_boxes_are_bad(mis
     of_vessels = counts["detected"] - counts["merged"]
     every, annotated = of_vessels + counts["false_positives"], counts["annotated"]
 
-    def share(name: str, whole: int, of: str) -> tuple[int, str]:
-        return counts[name], f"{counts[name] / whole:.1%} of {of}"
+    def share(name: str, of_all: int, of: str) -> tuple[int, str]:
+        return counts[name], f"{100 * counts[name] / of_all:.1f} % of {of}"
 
     assert counts["merged"] > 0  # so that detections of vessels are not the detected vessels
     tiles, warning = first_said(mistaken_page)
     bad, off = counts["below_half_iou"], counts["off_vessel"]
-    assert warning == [f"{bad / of_vessels:.1%}", str(bad), str(of_vessels), str(off)]
+    assert warning == [f"{100 * bad / of_vessels:.1f} %", *(f"{count:,}" for count in (bad, of_vessels, off))]
     assert tiles == {
         "Annotated": (annotated, "vessels in frames, given to the detector"),
         "Detected": share("detected", annotated, "annotated"),
         "Missed": share("missed", annotated, "annotated"),
-        "False alarms": share("false_positives", every, f"{every} detections"),
-        "Wrong class": share("mislabelled", of_vessels, f"{of_vessels} true detections"),
-        "IoU below 0.5": share("below_half_iou", of_vessels, f"{of_vessels} true detections"),
-        "Off their vessel": share("off_vessel", of_vessels, f"{of_vessels} true detections"),
+        "False positives": share("false_positives", every, f"{every:,} detections"),
+        "Wrong class": share("mislabelled", of_vessels, f"{of_vessels:,} true detections"),
+        "IoU below 0.5": share("below_half_iou", of_vessels, f"{of_vessels:,} true detections"),
+        "Off their vessel": share("off_vessel", of_vessels, f"{of_vessels:,} true detections"),
     }
     path = mistaken_strait(tmp_path, steps=10)
     detector = yaml.safe_load((tmp_path / "detector.yaml").read_text(encoding="utf-8"))

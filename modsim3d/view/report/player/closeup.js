@@ -13,7 +13,7 @@ class Closeup {
     this.picture.resize(CLOSEUP_ASPECT);
   }
 
-  // Draw it, or the false alarm that is chosen, mark its place in the image, and return its vessel; null if there is none.
+  // Draw it, or the false positive that is chosen, mark its place in the image, and return its vessel; null if there is none.
   draw(pane, frame, followed, shown, alarm = null) {
     if (alarm !== null) return this.drawAlarm(pane, frame, shown, frame.detections[alarm]);
     const { recording } = pane, { vessels } = recording.facts, wanted = followed ?? this.before;
@@ -35,7 +35,7 @@ class Closeup {
     this.picture.lookAt(box, pane.size);
     this.picture.draw(pane.recording, frame.index, pane.camera, shown, frame);
     pane.picture.mark(this.picture);
-    this.canvas.setAttribute('aria-label', 'Close-up: a false alarm');
+    this.canvas.setAttribute('aria-label', 'Close-up: a false positive');
     return null;
   }
 

@@ -2,7 +2,7 @@
 
 const FADED = 0.4, WIDER_PX = 1.5, HALO_GAP_PX = 9, HALO_ROUND_PX = 9;
 
-// Whether a drawn box is of the same vessel, false alarm or track as the one under the mouse.
+// Whether a drawn box is of the same vessel, false positive or track as the one under the mouse.
 function isSameBox(hit, { vessel = null, alarm = null, lane = null }) {
   if (hit.alarm !== null) return alarm === hit.alarm;
   return hit.vessel === null ? lane === hit.lane : alarm === null && vessel === hit.vessel;
@@ -41,7 +41,7 @@ function drawArrowTo(picture, [x0, y0, x1, y1]) {
   context.restore();
 }
 
-// The box of a vessel or of a false alarm that was chosen, if it is in this frame.
+// The box of a vessel or of a false positive that was chosen, if it is in this frame.
 function chosenBox(frame, vessel, alarm) {
   const truth = vessel === null ? null : frame.truths.find((each) => each.vessel === vessel);
   if (truth) return truth.full;

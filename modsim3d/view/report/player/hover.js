@@ -11,7 +11,7 @@ function boxUnder(pane, frame, shown, x, y) {
     .reduce((least, each) => (least && area(least.box) <= area(each.box) ? least : each), null);
 }
 
-// Each drawn box, with the vessel that it is of (null: of none) and, of a false alarm, its place among the detections.
+// Each drawn box, with the vessel that it is of (null: of none) and, of a false positive, its place among the detections.
 function boxesOf({ recording }, frame, shown) {
   const boxes = [];
   for (const truth of frame.truths) {
@@ -35,7 +35,7 @@ function boxInWords({ vessel, alarm, lane }, frame, { facts }) {
 
 function alarmInWords({ kind, vessel, label, confidence, box: [x0, y0, x1, y1] }, { vessels }) {
   const of = vessel === null ? '' : ` of ${vessels[vessel].name}`;
-  const what = kind === 'persistent_false_positive' ? 'false alarm that stays' : kind === 'false_positive' ? 'false alarm' : `false: ${kind}${of}`;
+  const what = kind === 'persistent_false_positive' ? 'false positive that stays' : kind === 'false_positive' ? 'false positive' : `false: ${kind}${of}`;
   return [what, `${label} ${confidence.toFixed(2)}`, `${(x1 - x0).toFixed(0)} × ${(y1 - y0).toFixed(0)} px`];
 }
 

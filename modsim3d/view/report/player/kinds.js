@@ -2,7 +2,7 @@
 
 const KINDS = [
   { kind: 'missed', name: 'missed', key: 'm', one: 'missed vessel', legend: 'missed' },
-  { kind: 'false', name: 'false alarm', key: 'f', one: 'false alarm', legend: 'false alarm' },
+  { kind: 'false', name: 'false positive', key: 'f', one: 'false positive', legend: 'false positive' },
   { kind: 'mislabelled', name: 'wrong class', key: 'l', one: 'wrong class (label)', legend: 'wrong class' },
   { kind: 'bad', name: 'IoU below 0.5', key: 'i', one: 'box with IoU below 0.5', legend: 'IoU below 0.5' },
   { kind: 'off', name: 'off its vessel', key: 'w', one: 'box that is off its vessel', legend: 'off its vessel: line to it' },

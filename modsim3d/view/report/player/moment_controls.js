@@ -46,7 +46,7 @@ class MomentControls {
     else say(`This is the ${by > 0 ? 'last' : 'first'} ${kindOf(kind).one}`);
   }
 
-  // Show a moment, with its vessel or its first false alarm close up; all of the image if that is out of sight.
+  // Show a moment, with its vessel or its first false positive close up; all of the image if that is out of sight.
   async show(moment) {
     const { player, kind } = this, { pane, recording } = player, { index, vessel } = moment;
     player.play(false);

@@ -33,7 +33,7 @@ function detectionRows(recording, frame) {
   const state = recording.state(frame.index, frame.camera);
   return frame.detections.map((each) => {
     const truth = each.false ? null : frame.truths.find(({ vessel }) => vessel === each.vessel);
-    const outcome = each.false ? 'false alarm' : wordsFor(each).join(', ') || 'right';
+    const outcome = each.false ? 'false positive' : wordsFor(each).join(', ') || 'right';
     return { ...each, state, outcome, name: each.vessel === null ? null : recording.facts.vessels[each.vessel].name, iou: truth && iouInWords(each, truth) };
   });
 }

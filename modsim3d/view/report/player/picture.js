@@ -2,7 +2,7 @@
 
 const LAYERS = [
   ['silhouettes', 'Silhouettes'], ['full', 'Truth: whole'], ['visible', 'Truth: seen'],
-  ['detections', 'Detections'], ['false', 'False alarms'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
+  ['detections', 'Detections'], ['false', 'False positives'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
 ];
 
 // A part of the image: left and top edge and width in image pixels; the height follows from the canvas.

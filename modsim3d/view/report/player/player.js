@@ -5,7 +5,7 @@ class Player {
   constructor(recordings, differences = null) {
     this.index = 0;
     this.followed = null; // the vessel that is chosen, and
-    this.alarm = null; // the false alarm that is: its place among the detections of the frame
+    this.alarm = null; // the false positive that is: its place among the detections of the frame
     this.differences = differences;
     this.stage = new Stage(this, recordings, differences ? differences.runs : ['']);
     const { recording } = this, { facts } = recording;
@@ -154,7 +154,7 @@ class Player {
 
   zoom(factor) { this.pane.zoom(factor); this.draw(); }
 
-  // A vessel, or a false alarm of this frame, or nothing.
+  // A vessel, or a false positive of this frame, or nothing.
   choose(vessel, alarm = null) {
     Object.assign(this, { followed: vessel, alarm });
     this.draw();

@@ -21,7 +21,7 @@ class Timeline {
     const width = this.panel.parentElement.clientWidth;
     this.left = Math.min(132, 0.32 * width);
     this.wide = width - this.left;
-    // Misses and false alarms always, the rest where there is some.
+    // Misses and false positives always, the rest where there is some.
     this.kinds = BARS.filter(([kind], i) => i < 2 || this.overview[kind].some((count) => count));
     this.withClasses = this.kinds.some(([kind]) => kind === 'mislabelled');
     this.rowPx = stripHeight(this.withClasses);
