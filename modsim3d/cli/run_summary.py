@@ -22,7 +22,7 @@ CAMERA_HEADER = (
     "frames",
     "annotated",
     "detected",
-    "false\nalarms",
+    "false\npositives",
     "wrong\nclass",
     "IoU\n< 0.5",
     "off\nvessel",

@@ -144,8 +144,8 @@ def how_well(report: LearnReport) -> str:
     where = " in the state where they are known least" if len(states) > 1 else ""
     return (
         f"With {in_percent(report.level)} confidence its share of misses is known to within ±{100 * missed:.2g} "
-        f"percentage points, its share of false detections to within ±{100 * false:.2g}, and the spread of its box errors "
-        f"to within ±{100 * spread:.2g} %{where}."
+        f"percentage points, its share of false detections to within ±{100 * false:.2g}, and the spread of its "
+        f"box errors to within ±{100 * spread:.2g} %{where}."
     )
 
 

@@ -74,7 +74,7 @@ def test_names_numbers_and_paths_are_not_broken_and_what_does_not_fit_stands_bel
     lines = printed(22, "", [("bow", "40", "10")], header=header)
     assert lines == ["camera  frames  false", "                alarms", "bow     40      10"]
     lines = printed(22, "", [("a_long_name", "40", "10")], header=header)
-    assert lines == ["a_long_name", "    frames 40", "    false positives 10"]
+    assert lines == ["a_long_name", "    frames 40", "    false alarms 10"]
     rows = [("visible", "all", "10"), ("", "half", "2")]  # neither a line nor a space for what has no name
     lines = printed(16, "", rows, header=("by", "", "recall of boxes"))
     assert lines == ["visible", "    all", "    recall of", "    boxes 10", "    half", "    recall of", "    boxes 2"]

@@ -99,7 +99,7 @@ def test_the_command_writes_a_file_and_a_page_the_same_bytes_of_the_same_data(sh
     for state, share in model.stationary_shares.items():
         table = result.output.partition("States in the long run")[2].splitlines()
         row = next(line.split() for line in table if line.startswith(state))
-        assert float(row[-1].rstrip("%")) == pytest.approx(100 * share, abs=0.1)
+        assert row[-1] == "%" and float(row[-2]) == pytest.approx(100 * share, abs=0.1)
     assert out.read_text().startswith("# Learned by modsim3d learn. 200 images, ")
     for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
                   "points gained if corrected", "Left simple", "Never learned"):  # fmt: skip

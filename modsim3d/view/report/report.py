@@ -255,9 +255,9 @@ def _result(counts: count_tables.DetectorCounts) -> str:
         return result
     return (
         f"<p class=warning><strong>{in_percent(counts.bad_share, 1)} of the boxes do not fit their vessels.</strong> "
-        f"{counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with their vessel's "
-        f"annotated box; {counts.off_vessel:,} of them do not touch it. An evaluation that matches by IoU counts "
-        f"each as a miss and a false positive.</p>\n{result}"
+        f"{counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with their "
+        f"vessel's annotated box; {counts.off_vessel:,} of them do not touch it. An evaluation that matches by IoU "
+        f"counts each as a miss and a false positive.</p>\n{result}"
     )
 
 
