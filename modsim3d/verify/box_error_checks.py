@@ -342,7 +342,9 @@ def _state_checks(
         return _exact_checks(state, evidence, rows)
     law = ErrorParameters.of(state.box_error)
     redrawn = 0.0 if fit is None else 1 - float(fit.step.acceptance.mean())
-    note = f"{redrawn:.0%} of first draws leave no box and are drawn anew: taken out" if redrawn >= 0.005 else ""
+    note = (
+        f"{100 * redrawn:.0f} % of first draws leave no box and are drawn anew: taken out" if redrawn >= 0.005 else ""
+    )
     parameters = []
     for k, (name, asked) in enumerate(zip(law.names(), law.numbers(), strict=True)):
         measure = None if fit is None else _estimate(fit, k, replayed)

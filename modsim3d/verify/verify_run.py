@@ -160,8 +160,8 @@ def document(verified: VerifiedRun) -> Document:
     found, false = evidence.true_detections, evidence.false_detections
     tested = [verdict for verdict in verification.verdicts if verdict.measured is not None and not verdict.fails]
     about = (
-        f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
-        f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
+        f"{verified.run.steps:,} steps, {len(evidence.instances.state):,} chances to detect a vessel, "
+        f"{len(found.instance):,} true detections, {len(false.frame_row):,} false ones. Each interval holds the values "
         f"that its test would not have rejected; the level of all tests together is {in_percent(OVERALL_ALPHA)}. "
         "“Noticed from” is the smallest change of the file that this run would have shown, with 90 % power."
     )

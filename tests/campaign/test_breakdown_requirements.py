@@ -100,7 +100,7 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(mod
     assert modsim3d("campaign", "report", tmp_path / "out").status == 0
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "recall at least 0.1, range 100 to 200 or 400 to 800" in page
-    assert "hota at least 0.1, state excellent or terrible" in page
+    assert "HOTA at least 0.1, state excellent or terrible" in page
     assert all(f'data-label="range">{name}</td>' in page for name in ("100 to 200", "400 to 800"))
 
 

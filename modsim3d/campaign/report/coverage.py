@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from modsim3d.campaign.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys, Range
 from modsim3d.campaign.plan import Plan, text_of
+from modsim3d.campaign.report.words import with_name
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.coverage import COVERED, KINDS, MET, OCCLUSIONS, RANGES, SIZES, VESSELS
 from modsim3d.campaign.work.row import DONE
@@ -171,7 +172,7 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
             requirement = plan.keys.require[verdict.requirement]
             labels = [label for label in (requirement.of, requirement.minus) if label is not None]
         chosen = (conditions == verdict.condition) & np.isin(trackers, labels)
-        text, numbers = f"{verdict.requirement + 1}. {verdict.text}", numbers_in_words(runs[chosen])
+        text, numbers = f"{verdict.requirement + 1}. {with_name(verdict.text)}", numbers_in_words(runs[chosen])
         counts = numbers_in_words(np.unique(seeds[chosen])), f"{len(np.unique(looks[chosen]))}"
         rows.append([text, verdict.tracker, f"{verdict.condition}", verdict.outcome, numbers, *counts])
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]

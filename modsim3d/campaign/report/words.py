@@ -196,7 +196,7 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
         found, requirement = by_requirement[place], required[place]
         given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
         about = [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
-        text = ", ".join([requirement_text(requirement), *about])
+        text = ", ".join([with_name(requirement_text(requirement)), *about])
         count = Counter(each.outcome for each in found)
         said = SIGNS[outcome_of(found)] + " (not repeatable)" * requirement.of_time
         if len(count) > 1:
@@ -205,6 +205,12 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
             said += " in both cases" if len(found) == 2 else f" in all {len(found):,} cases"
         yield Heading(f"{place + 1}. {text}: {said}", 3, bad=count["failed"] > 0)
         yield from _table(plan, requirement, found)
+
+
+def with_name(text: str) -> str:
+    """Text of a requirement that begins with the name of its score, such as HOTA, in place of the key."""
+    key, space, rest = text.partition(" ")
+    return f"{score_name(key)}{space}{rest}"
 
 
 def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> Iterator[Block]:

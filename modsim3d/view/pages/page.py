@@ -5,6 +5,7 @@ import hashlib
 import html
 import re
 from collections.abc import Iterable, Sequence
+from itertools import count
 from typing import Any
 
 from PIL.Image import Image
@@ -12,7 +13,7 @@ from PIL.Image import Image
 from modsim3d.core import document as doc
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
+from modsim3d.view.pages.tables import TABLE_STYLE, facts, table, with_code
 
 # ---- How pages are printed ----
 
@@ -68,6 +69,8 @@ def _css_text(text: str) -> str:
     return '"' + re.sub(r"[^\w .,:;?!()%/+·–-]", lambda found: f"\\{ord(found[0]):x} ", text) + '"'
 
 
+MIN_CONTENTS = 4  # sections of a page that has links to them
+_SECTION = re.compile(r"<h2[^>]*>(.*?)</h2>")
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
 @media (prefers-color-scheme: dark) {
@@ -85,6 +88,8 @@ summary { cursor: pointer; padding: 0.25rem 0; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
 .beside { display: flex; flex-wrap: wrap; gap: 0 2.5rem; } .beside > div { min-width: 0; max-width: 34rem; }
+.contents ul { display: flex; flex-wrap: wrap; gap: 0.2rem 1.2rem; padding: 0; list-style: none; max-width: none; }
+a { color: light-dark(#0b5cad, #7db8f0); }
 h3 { margin: 1.4rem 0 0.4rem; } code { overflow-wrap: anywhere; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.5rem, 1fr)); gap: 0.6rem; margin: 1rem 0; }
 .tiles div { border: 1px solid var(--line); border-radius: 8px; padding: 0.4rem 0.7rem; }
@@ -101,7 +106,8 @@ h3 { margin: 1.4rem 0 0.4rem; } code { overflow-wrap: anywhere; }
 
 def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
     """A whole page from the HTML of its parts, with what it rests on in a line at the top and in full at the end."""
-    content = "\n".join([f"<h1>{html.escape(title)}</h1>", top_line(rests_on), *body, provenance(rests_on)])
+    content = with_contents("\n".join([top_line(rests_on), *body, provenance(rests_on)]))
+    content = f"<h1>{html.escape(title)}</h1>\n{content}"
     style = STYLE + TABLE_STYLE + PROVENANCE_STYLE + PRINT_STYLE + sheet_style(title, mark_of(content))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -109,6 +115,18 @@ def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
         f"<title>{html.escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f"<main>\n{content}\n</main>\n</body>\n</html>\n"
     )
+
+
+def with_contents(content: str) -> str:
+    """Content with links to its sections before the first of them, where there are more than a few."""
+    titles = _SECTION.findall(content)
+    if len(titles) < MIN_CONTENTS:
+        return content
+    numbers = count(1)
+    content = _SECTION.sub(lambda found: f'<h2 id="section-{next(numbers)}"{found[0][3:]}', content)
+    links = (f'<li><a href="#section-{number}">{title}</a></li>' for number, title in enumerate(titles, start=1))
+    contents = f'<nav class="contents" aria-label="Contents"><ul>{"".join(links)}</ul></nav>\n'
+    return content.replace('<h2 id="section-1"', contents + '<h2 id="section-1"', 1)
 
 
 def document_page(document: doc.Document, rests_on: Provenance) -> str:
@@ -127,7 +145,7 @@ def html_of(block: doc.Block) -> str:
             return f"<p><code>{html.escape(block.text)}</code></p>"
         case doc.Text():
             mark = f' class="{block.style}"' if block.style else ""
-            return f"<p{mark}>{html.escape(block.text)}</p>"
+            return f"<p{mark}>{with_code(block.text)}</p>"
         case doc.Items():
             return "<ul>\n" + "\n".join(f"<li>{html.escape(text)}</li>" for text in block.texts) + "\n</ul>"
         case doc.Tiles():

@@ -80,7 +80,7 @@ def table(
         kind = "bad" if number in bad else "soft" if number in soft else ""
         lines.append((f'<tr class="{kind}">' if kind else "<tr>") + content + "</tr>")
         if note := notes.get(number):
-            lines.append(f'<tr><td colspan="{len(shown)}" class="soft">{html.escape(note)}</td></tr>')
+            lines.append(f'<tr><td colspan="{len(shown)}" class="soft">{with_code(note)}</td></tr>')
     written = "\n".join([*lines, "</tbody>", "</table>"])
     return scrolling(written) if len(header) > 2 else written
 
@@ -152,6 +152,11 @@ def facts(rows: Sequence[tuple[str, str]]) -> str:
 def breaking(text: str) -> str:
     """Text as HTML in which long words, such as keys and checksums, may be broken."""
     return _LONG.sub(lambda word: re.sub(r"[./]|\](?=\[)|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), html.escape(text))
+
+
+def with_code(text: str) -> str:
+    """Text as HTML, with keys and commands between backticks as code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", html.escape(text))
 
 
 def _in_number(cell: str) -> str:

@@ -19,7 +19,7 @@ from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages import provenance
-from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style
+from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style, with_contents
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 from modsim3d.view.report import count_tables
 from modsim3d.view.report.images import image_facts
@@ -284,7 +284,8 @@ def _tables(counts: count_tables.CountTables, settings: dict[str, Any], rests_on
     every_setting = folded(
         "All settings of the run", facts([(name, text) for name, text in count_tables.named_values(settings)])
     )
-    return f"{sections(parts)}\n<section>{every_setting}</section>\n{provenance.provenance(rests_on)}"
+    settings_and_inputs = f"<section>{every_setting}</section>\n{provenance.provenance(rests_on)}"
+    return with_contents(f"{sections(parts)}\n{settings_and_inputs}")
 
 
 def sections(parts: Sequence[tuple[str, count_tables.Rows, Sequence[str]]]) -> str:

@@ -18,7 +18,7 @@ from tests.campaign.campaigns import run_campaign_file
 from tests.command_line import call
 from tests.view.made_tracks import perfect, write_csv
 from tests.view.report.axe import grave_violations
-from tests.view.report.test_layout import PHONE, pale_texts
+from tests.view.report.test_layout import DESK, PHONE, pale_texts
 
 CAMPAIGN = {"scene": "fairway", "steps": 4, "seed": 7, "seeds": {"traffic": 2}, "trackers": ["reference"]}
 LIMITS = [{"score": "hota", "at_least": 0.0}, {"score": "hota", "at_least": 0.9}]
@@ -150,7 +150,10 @@ WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.o
 
 @pytest.mark.parametrize("name", PAGES)
 def test_axe_finds_nothing_serious_on_a_page_that_fits_a_phone_and_a_tablet(pages, browser, name):
-    browser.visit(pages / PAGES[name], PHONE)
+    browser.visit(pages / PAGES[name], DESK)
+    height, links = browser.run(CONTENTS)
+    assert bool(links) == all(links) and (links or height < 3 * DESK[1])
+    browser.resize(PHONE)
     if name != "report":  # whose player has tests of its own
         assert grave_violations(browser) == []
         browser.scheme("dark")
@@ -162,6 +165,8 @@ def test_axe_finds_nothing_serious_on_a_page_that_fits_a_phone_and_a_tablet(page
             assert len(set(browser.run(BARS))) == 1
 
 
+CONTENTS = """[document.documentElement.scrollHeight, [...document.querySelectorAll('.contents a')].map((each) =>
+    document.querySelector(`h2${each.hash}`)?.textContent === each.textContent)]"""
 BARS = """[...document.querySelectorAll('.bar')].map((each) => {
     const { left, width } = each.getBoundingClientRect();
     return left >= each.parentElement.getBoundingClientRect().left && width; })"""

@@ -33,7 +33,7 @@ def unpack(page):
 
 
 def table_after(page, title):
-    section = re.search(rf"<h2>{title}</h2>(.*?)</section>", page.read_text(encoding="utf-8"), re.DOTALL)[1]
+    section = re.search(rf"<h2[^>]*>{title}</h2>(.*?)</section>", page.read_text(encoding="utf-8"), re.DOTALL)[1]
     rows = re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)
     return [re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in rows]
 
