@@ -107,8 +107,8 @@ def lead(report: LearnReport) -> str:
     counted = f"confidence at least {learned.observed.threshold:g}" if labelled.scored else "without confidences"
     drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
     return (
-        f"{len(labelled.images):,} images, {len(labelled.annotations):,} annotations, {len(labelled.results):,} detections; "
-        f"matched by {report.matched_by}, {counted}; "
+        f"{len(labelled.images):,} images, {len(labelled.annotations):,} annotations, "
+        f"{len(labelled.results):,} detections; matched by {report.matched_by}, {counted}; "
         f"{in_percent(report.level)} intervals by bootstrap over {learned.units[None]} {drawn}."
     )
 

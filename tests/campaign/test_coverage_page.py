@@ -67,7 +67,7 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     facts, (condition,) = result.folder.facts, result.folder.facts["conditions"]
     (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("1. "))
     assert line == ["patient", "0", "met", "1, 3, 5 (3 of them)", "1000000–1000002 (3 of them)", "3"]
-    assert "1. hota &lt; 1 &amp; more" in page and facts["sha256"] in page
+    assert "1. HOTA &lt; 1 &amp; more" in page and facts["sha256"] in page
     assert condition["truth_sha256"][:16] in page and condition["detector_sha256"][:16] in page
     versions = {**facts["versions"], **condition["trackers"]["sort"]["versions"]}
     assert "trackers" in versions and all(lines_of(page)[name] == [version] for name, version in versions.items())
@@ -79,7 +79,7 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
 def test_a_trace_shows_the_first_of_very_many_verdicts_and_may_have_none(result: CampaignResult) -> None:
     verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
     page = html_of_blocks(trace_sections(result.folder, result.table, verdicts))
-    assert "200. hota" in page and "201. hota" not in page and "100 more are in verdicts.json." in page
+    assert "200. HOTA" in page and "201. hota" not in page and "100 more are in verdicts.json." in page
     nothing = result.table.slice(0, 0)
     page = html_of_blocks(trace_sections(result.folder, nothing, []))
     assert "no requirements" in page and "campaign reproduce" in page

@@ -68,7 +68,7 @@ def test_an_honest_run_obeys_and_says_so_and_a_change_made_after_it_is_caught_an
     page = (out / "verify.html").read_text().replace("<wbr>", "")
     failing = [line for line in page.splitlines() if "DIFFERS" in line]
     assert all(line.startswith('<tr class="bad">') for line in failing)
-    assert "states.good.confidence.std" in page.split("What fails")[1].split("</table>")[0]
+    assert "states.good.confidence.std" in page.split("What fails</h2>")[1].split("</table>")[0]
 
 
 def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
