@@ -97,7 +97,8 @@ def test_a_row_says_only_what_its_interval_does_not():
 def test_the_verdict_stands_before_all_numbers_and_the_page_names_what_they_mean_and_needs_no_network(campaign, html):
     assert campaign.finished
     body = html.partition("<body>")[2]
-    assert "requirement" in (lead := re.search(r'<p class="lead">(.*?)</p>', body)[1])
+    (lead,) = re.findall(r'<p class="lead">(.*?)</p>', body)
+    assert "requirement" in lead
     parts = [lead, "This traffic only", "Requirements</h2>", "Means</h2>"]
     assert sorted(parts, key=body.index) == parts
     assert "Seeds change the detector and the waves; no result speaks of other traffic." in html
