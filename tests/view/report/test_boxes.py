@@ -126,5 +126,5 @@ def test_a_tap_chooses_the_vessel_and_says_what_it_is(opened):
     look = "const look = () => player.followed === null ? setTimeout(look, 20) : done(); look();"
     opened.run(f"new Promise(done => {{ {look} }})")
     followed, name = opened.run(f"[player.followed, player.recording.facts.vessels[{vessel}].name]")
-    assert followed == vessel and opened.text("#note").startswith(name)
+    assert followed == vessel and f" s: {name} (" in opened.text("#note")
     assert opened.run("document.querySelector('.tip').hidden")

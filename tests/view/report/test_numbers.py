@@ -102,6 +102,7 @@ def test_the_list_has_the_order_and_the_vessels_that_are_asked_for_says_so_and_s
     browser.click("[data-order=distance]")
     assert browser.run(LISTED) == scene and browser.run("document.querySelector('th[aria-sort]')") is None
     browser.click("[data-order=outcome]")
+    assert browser.run(LISTED) == scene  # mistakes first, then who is in the image, also unasked
     ranks = browser.run(f"{LISTED}.map(name => {HERE}.find(({{ vessel }}) => {VESSELS}[vessel].name === name)?.missed)")
     missed = ranks.count(True)
     assert missed > 0 and ranks[:missed] == [True] * missed

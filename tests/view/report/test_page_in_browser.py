@@ -83,6 +83,16 @@ def test_layers_are_shown_by_mouse_and_key_silhouettes_in_their_vessels_colour(b
     assert looked_at
 
 
+def test_the_close_up_is_of_a_mistake_and_an_image_without_vessels_says_so(browser, page, mistaken_page):
+    browser.open(page, hash="#step=0")
+    picture, empty = browser.pixels(), browser.run("player.stage.frames[0].truths.length")
+    assert empty == 0 and (picture[len(picture) * 3 // 10 - 8 :][:16, :, :3].min(axis=2) > 250).any()  # white letters
+    browser.open(mistaken_page, hash="#step=0")
+    for step in browser.run("player.recording.moments(0, 'missed').slice(0, 5).map(({ index }) => index)"):
+        browser.run(f"player.go({step})")
+        assert browser.run("document.querySelector('#vessels .chosen').matches('.wrong')"), step
+
+
 def test_keyboard_alone_is_enough(browser, page):
     browser.open(page, hash="#step=50")
     last = STEPS - 1

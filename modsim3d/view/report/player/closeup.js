@@ -1,4 +1,4 @@
-// The close-up of one vessel: the one that was chosen; else the one of before, while it is there; else the nearest.
+// The close-up of one vessel: the one that was chosen; else of a mistake; else the one of before, while it is there; else the nearest.
 
 const CLOSEUP_ASPECT = 2.2;
 
@@ -13,12 +13,13 @@ class Closeup {
     this.picture.resize(CLOSEUP_ASPECT);
   }
 
-  // Draw it, or the false positive that is chosen, mark its place in the image, and return its vessel; null if there is none.
-  draw(pane, frame, followed, shown, alarm = null) {
-    if (alarm !== null) return this.drawAlarm(pane, frame, shown, frame.detections[alarm]);
-    const { recording } = pane, { vessels } = recording.facts, wanted = followed ?? this.before;
-    let truth = frame.truths.find(({ vessel }) => vessel === wanted);
-    if (!truth && followed === null) truth = frame.truths.at(-1);
+  // Draw it, or the false positive that is chosen, mark its place in the image, and return its vessel and its place among
+  // the false positives; null for what it is not of.
+  draw(pane, frame, followed, shown, alarm, playing) {
+    const { recording } = pane, { vessels } = recording.facts, of = (wanted) => frame.truths.find(({ vessel }) => vessel === wanted);
+    const unasked = followed === null && alarm === null ? this.unasked(frame, of(this.before), playing) : { alarm, truth: of(followed) };
+    if (unasked.alarm !== null) return this.drawAlarm(pane, frame, shown, unasked.alarm);
+    const { truth } = unasked;
     this.before = truth?.vessel ?? this.before;
     if (truth) {
       this.picture.lookAt(truth.full, pane.size);
@@ -28,15 +29,24 @@ class Closeup {
       this.empty(followed === null ? 'No vessel is in the image' : `${vessels[followed].name} is not in the image`);
     }
     this.canvas.setAttribute('aria-label', `Close-up: ${truth ? vessels[truth.vessel].name : 'nothing'}`);
-    return truth?.vessel ?? null;
+    return { vessel: truth?.vessel ?? null, alarm: null };
   }
 
-  drawAlarm(pane, frame, shown, { box }) {
-    this.picture.lookAt(box, pane.size);
+  // What went wrong in the frame, the nearest vessel first; without a mistake the vessel of before, or the nearest. While the
+  // run plays it stays with its vessel.
+  unasked({ truths, detections }, before, playing) {
+    const wrong = truths.filter((truth) => isWrong({ truth, found: detections.find((each) => each.vessel === truth.vessel && !each.false) }));
+    const alarm = wrong.length ? -1 : detections.findIndex((each) => each.false);
+    if (!(playing && before) && alarm >= 0) return { alarm };
+    return { alarm: null, truth: (playing || wrong.includes(before) || !wrong.length) && before || (wrong.length ? wrong : truths).at(-1) };
+  }
+
+  drawAlarm(pane, frame, shown, alarm) {
+    this.picture.lookAt(frame.detections[alarm].box, pane.size);
     this.picture.draw(pane.recording, frame.index, pane.camera, shown, frame);
     pane.picture.mark(this.picture);
     this.canvas.setAttribute('aria-label', 'Close-up: a false positive');
-    return null;
+    return { vessel: null, alarm };
   }
 
   empty(text) {

@@ -96,7 +96,7 @@ class Hover {
     if (!frame || pressed && Math.hypot(clientX - pressed.x, clientY - pressed.y) > STILL_PX) return;
     const hit = boxUnder(pane, frame, player.shown, offsetX, offsetY);
     player.choose(hit?.vessel ?? null, hit?.alarm ?? null);
-    if (hit && pressed?.by === 'touch') say(boxInWords(hit, frame, pane.recording).join(' · '));
+    if (hit && pressed?.by === 'touch') say(`${pane.recording.facts.timestamps[frame.index]} s: ${boxInWords(hit, frame, pane.recording).join(' · ')}`);
   }
 
   // What the mouse is over in a frame; it is looked up anew in each, so that it is true while the run plays.

@@ -38,7 +38,11 @@ class Pane {
     };
   }
 
-  draw(frame, shown, marked) { this.picture.draw(this.recording, frame.index, this.camera, shown, frame, marked); }
+  draw(frame, shown, marked) {
+    this.picture.draw(this.recording, frame.index, this.camera, shown, frame, marked);
+    const text = absence(this.recording, frame);
+    if (text) writeOn(this.picture, text);
+  }
 
   // The part of the image in which vessels are, in any frame: between two rows.
   home([top, bottom]) {

@@ -60,3 +60,15 @@ function inkOn(colour) {
   const [red, green, blue] = channels(colour);
   return 0.299 * red + 0.587 * green + 0.114 * blue > 112 ? '#111' : '#fff';
 }
+
+// A text over the middle of the picture.
+function writeOn({ context, canvas, ratio }, text) {
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.font = '600 15px system-ui, sans-serif';
+  const wide = Math.min(context.measureText(text).width, canvas.width / ratio - 24), left = (canvas.width / ratio - wide) / 2, top = 0.3 * canvas.height / ratio;
+  context.fillStyle = '#000c';
+  context.fillRect(left - 12, top - 14, wide + 24, 28);
+  Object.assign(context, { fillStyle: '#fff', textBaseline: 'middle' });
+  context.fillText(text, left, top, wide);
+  context.textBaseline = 'alphabetic';
+}

@@ -34,8 +34,7 @@ class Player {
     this.resize();
     this.momentRow.fill();
     this.home();
-    const { overview } = this.timeline;
-    if (!this.fromAddress()) this.go(overview.firstOf(Math.max(0, overview.seen.findIndex((seen) => seen > 0))));
+    if (!this.fromAddress()) this.goToFirst();
     clearTimeout(writeAddress.timer); // the address stays as it is until something is done
   }
 
@@ -101,6 +100,14 @@ class Player {
     this.lanes?.reveal(this.index);
     keepAddress(this);
     return this.waiting;
+  }
+
+  // The first step with a vessel in the image, through a camera that sees one.
+  goToFirst() {
+    const { recording, camera } = this, first = (of) => recording.overview(of).seen.findIndex((seen) => seen > 0);
+    const other = first(camera) < 0 ? recording.facts.cameras.findIndex((_, each) => first(each) >= 0) : -1;
+    if (other >= 0) this.look(other);
+    this.go(recording.overview(this.camera).firstOf(Math.max(0, first(this.camera))));
   }
 
   step(by) { this.play(false); this.go(this.index + by); }
@@ -222,29 +229,29 @@ class Player {
   drawFrame() {
     const started = performance.now(), { recording, index, pane, stage } = this;
     recording.rowsRead = 0;
-    const frame = stage.draw(index, this), chosen = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm);
+    const frame = stage.draw(index, this), close = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm, this.playing);
     this.above.draw(recording, this.panes.map((each) => each.camera), index, this.followed);
     this.list.show(frame, pane.facts.carrier, this.playing, stage.otherFrame);
-    this.list.mark(chosen, this.followed);
+    this.list.mark(close.vessel, this.followed);
     this.numbers.show(frame);
     this.timeline.draw(index, this.followed);
     markStretch(this.timeline, this.loop.marked);
     this.lanes?.draw(index);
     this.differenceLanes?.draw(index);
-    this.say(frame, chosen);
+    this.say(frame, close);
     this.drawn = { frames: this.drawn.frames + 1, rows: recording.rowsRead, milliseconds: performance.now() - started };
   }
 
   frameOf(pane) { return this.stage.frameOf(pane); }
 
   // The frame, and what is close up, in words.
-  say(frame, chosen) {
+  say(frame, { vessel, alarm }) {
     const { facts } = this.recording, words = [this.pane.run, frameInWords(this.recording, frame)].filter((word) => word).join(': ');
     $('slider').value = this.index;
     $('slider').setAttribute('aria-valuetext', `${facts.timestamps[this.index]} seconds`);
     $('status').textContent = words;
     this.pane.canvas.setAttribute('aria-label', `Image of ${this.pane.facts.name}: ${words}`);
-    const close = this.alarm !== null ? alarmInWords(frame.detections[this.alarm], facts) : chosen === null ? [] : vesselInWords(chosen, frame, facts);
+    const close = alarm !== null ? alarmInWords(frame.detections[alarm], facts) : vessel === null ? [] : vesselInWords(vessel, frame, facts);
     $('chosen').textContent = $('chosen').title = close.join(' · ');
     this.momentRow.mark(this.index);
   }

@@ -32,11 +32,11 @@ class VesselList {
     this.arrange();
   }
 
-  // Rising, then falling, then in the order of the scene.
+  // Rising, then falling, then as usual: what went wrong first, then who is in the image, in the order of the scene.
   sortBy(order) {
     if (this.order !== order) [this.order, this.falling] = [order, false];
     else if (!this.falling) this.falling = true;
-    else this.order = null;
+    else [this.order, this.falling] = [null, false];
     for (const { dataset, parentElement: head } of document.querySelectorAll('[data-order]')) {
       if (dataset.order === this.order) head.setAttribute('aria-sort', this.falling ? 'descending' : 'ascending');
       else head.removeAttribute('aria-sort');
@@ -48,12 +48,10 @@ class VesselList {
   arrange() {
     const sought = $('find').value.trim().toLowerCase(), passes = FILTERS[$('which').value];
     const kept = this.rows.filter((row) => row.text.includes(sought) && passes(row));
-    if (this.order) {
-      const key = ORDERS[this.order], sign = this.falling ? -1 : 1;
-      const compare = (a, b) => (typeof a === 'string' ? NAMES.compare(a, b) : a === b ? 0 : a - b);
-      // Vessels that are not in the image stay at the end, whichever way the others are sorted.
-      kept.sort((a, b) => (this.order === 'name' ? 0 : !a.truth - !b.truth) || sign * compare(key(a), key(b)) || a.vessel - b.vessel);
-    }
+    const key = ORDERS[this.order ?? 'outcome'], sign = this.falling ? -1 : 1;
+    const compare = (a, b) => (typeof a === 'string' ? NAMES.compare(a, b) : a === b ? 0 : a - b);
+    // Vessels that are not in the image stay at the end, whichever way the others are sorted.
+    kept.sort((a, b) => (this.order === 'name' ? 0 : !a.truth - !b.truth) || sign * compare(key(a), key(b)) || a.vessel - b.vessel);
     $('listed').textContent = kept.length < this.rows.length ? `${kept.length} of ${this.rows.length}` : '';
     if (kept.length === this.shown.length && kept.every((row, i) => row === this.shown[i])) return;
     this.shown = kept;
@@ -76,7 +74,7 @@ class VesselList {
       each.row.classList.toggle('wrong', isWrong(each));
       texts.forEach((text, i) => { if (each.cells[i].textContent !== text) each.cells[i].textContent = text; });
     }
-    if (!playing && (this.order || $('which').value !== 'all')) this.arrange();
+    if (!playing) this.arrange();
   }
 
   // What both runs made of a vessel; this one's first.

@@ -33,6 +33,16 @@ function frameInWords(recording, { index, camera, truths, detections }) {
   ].filter((word) => word).join(' · ');
 }
 
+// Why there is no vessel to see in a frame, and when there is one; empty where one is in the image.
+function absence(recording, { index, camera, truths }) {
+  const { timestamps } = recording.facts, overview = recording.overview(camera), { seen } = overview;
+  if (recording.age(index, camera) === 'no frame yet') return 'no frame yet';
+  if (truths.length) return '';
+  if (!seen.some((count) => count)) return 'no vessel is ever in this image';
+  const next = seen.findIndex((count, bin) => count > 0 && overview.firstOf(bin) > index);
+  return next < 0 ? 'no vessel is in the image any more' : `no vessel is in the image: the next at ${timestamps[overview.firstOf(next)]} s`;
+}
+
 function stepsInWords({ facts }, first, last, state) {
   return `${facts.timestamps[first]}–${facts.timestamps[last]} s, steps ${facts.steps[first]} to ${facts.steps[last]}: detector ${state}`;
 }
