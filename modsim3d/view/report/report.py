@@ -63,7 +63,7 @@ SCRIPTS = (  # in the order in which they need each other; in the page they are 
     *("vessel_list.js", "moments.js", "strips.js", "moment_controls.js", "timeline.js", "lane_panel.js", "lanes.js"),
     *("differences.js", "difference_lanes.js", "above.js", "legend.js", "hint.js", "gestures.js", "focus.js"),
     *("hover.js", "numbers.js", "share.js", "loop.js", "playback.js", "keys.js", "key_help.js", "address.js"),
-    *("player.js", "start.js"),
+    *("threshold.js", "player.js", "start.js"),
 )
 STYLES = (
     *("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css"),

@@ -1,6 +1,7 @@
 """The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
 
 import json
+import re
 from collections import defaultdict
 from itertools import pairwise
 
@@ -248,3 +249,40 @@ def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tm
     places = "((step, camera) => player.recording.truths(step, camera).map(({ full }) => full))"
     assert browser.run(f"{places}(1, 1)") == [] != browser.run(f"{places}(5, 1)") == browser.run(f"{places}(2, 0)")
     assert browser.run("document.querySelector('#failure').hidden")
+
+
+def test_a_least_confidence_changes_boxes_and_counts_and_stands_in_the_address(browser, mistaken_page, mistaken_folder):
+    least, camera = 0.5, "bow"
+    table = open_run(mistaken_folder).tables()["detections"]
+    rows = [row for row in table.to_pylist() if row["camera"] == camera and row["confidence"] >= least]
+    browser.open(mistaken_page, hash=f"#step=90&confidence={least}")
+    here = [row["confidence"] for row in rows if row["step"] == 90]
+    shown = browser.run("player.stage.frames[0].detections.map(({ confidence }) => confidence)")
+    np.testing.assert_allclose(shown, here, atol=5.1e-4)
+    false = sum(row["kind"] not in ("true", "merged", "split") for row in rows)
+    look = "const look = () => document.querySelector('#leastCounts').textContent ? done(1) : setTimeout(look, 20)"
+    browser.run(f"new Promise(done => {{ {look}; look(); }})")
+    assert browser.text("#leastCounts").endswith(f"{false} false positives")
+    numbers = [int(each) for each in re.findall(r"\d+", browser.text("#leastCounts"))]
+    counts = "(o => [o.annotated, o.missed].map(each => each.reduce((a, b) => a + b)))(player.timeline.overview)"
+    annotated, missed = browser.run(counts)
+    assert numbers[0] + numbers[1] == annotated and numbers[1] > missed
+    browser.press("ArrowRight")
+    browser.run("new Promise(done => setTimeout(done, 400))")
+    assert browser.run("location.hash").endswith(f"confidence={least:g}")
+
+
+def test_the_timeline_zooms_around_the_step_and_goes_along_with_it(browser, tracks_page):
+    browser.open(tracks_page, hash="#step=100")
+    place = browser.run("player.timeline.x(100)")
+    browser.click("[data-do=timeIn]")
+    first, stop = browser.run("(t => [t.from, t.to])(player.timeline)")
+    assert stop - first == STEPS // 2 and browser.run("player.timeline.x(100)") == pytest.approx(place, abs=5)
+    browser.run(f"player.go({stop + 20})")
+    first, stop = browser.run("(t => [t.from, t.to])(player.timeline)")
+    assert first <= browser.run("player.index") < stop == first + STEPS // 2
+    across = browser.run("(t => (t.left + 0.5 * t.wide) / (t.left + t.wide))(player.timeline)")
+    browser.click("#timeline", across, 0.1)
+    assert browser.run("player.index") == pytest.approx(first + STEPS // 4, abs=1)
+    browser.click("[data-do=timeWhole]")
+    assert browser.run("[player.timeline.from, player.timeline.to]") == [0, STEPS]

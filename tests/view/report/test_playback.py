@@ -12,7 +12,7 @@ FRAMES = """new Promise((done) => {{
 COARSE_AXIS = """(() => {
     const { timeline } = player, { recording } = timeline, { facts } = recording, places = [];
     facts.times = facts.times.filter((_, i) => i % 26 === 0);
-    recording.length = facts.times.length;
+    recording.length = timeline.to = facts.times.length;
     timeline.text = (context, text, x) => places.push([parseFloat(text), x + context.measureText(text).width / 2]);
     timeline.axis(timeline.still.getContext('2d'));
     return places;

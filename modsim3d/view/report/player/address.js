@@ -1,4 +1,4 @@
-// The address of what is shown: #step=120&camera=bow&beside=quay&vessel=ship2&layers=detections,missed. Names that are not there are passed over.
+// The address of what is shown: #step=120&camera=bow&beside=quay&vessel=ship2&layers=detections,missed&confidence=0.5. Names that are not there are passed over.
 
 const SETTLED_MS = 250;
 
@@ -27,11 +27,12 @@ function layersInAddress(hash, shown) {
 }
 
 // What has its usual value is left out.
-function addressOf({ index, stage, followed, shown, usual, recording: { facts } }) {
+function addressOf({ index, stage, followed, shown, usual, threshold: { least }, recording: { facts } }) {
   const parts = [['step', facts.steps[index]]], names = Object.keys(shown);
   if (facts.cameras.length > 1) parts.push(['camera', facts.cameras[stage.panes[0].camera].name]);
   if (stage.besideName) parts.push(['beside', stage.besideName]);
   if (followed !== null) parts.push(['vessel', facts.vessels[followed].name]);
+  if (least) parts.push(['confidence', least]);
   if (names.some((name) => shown[name] !== usual[name])) parts.push(['layers', names.filter((name) => shown[name]).join(',')]);
   return `#${parts.map(([name, value]) => `${name}=${encodeURIComponent(value).replaceAll('%2C', ',')}`).join('&')}`;
 }

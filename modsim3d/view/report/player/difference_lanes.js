@@ -18,7 +18,7 @@ class DifferenceLanes extends LanePanel {
     timeline.text(context, timeline.recording.facts.vessels[vessel].name, NAME_LEFT_PX, top + half, timeline.left - NAME_LEFT_PX - 6);
     context.fillStyle = colourOf('--track');
     context.fillRect(timeline.left, top, timeline.wide, 2 * half);
-    for (const { index, until, outcomes: [a, b] } of list) {
+    for (const { index, until, outcomes: [a, b] } of list.filter((each) => timeline.shows(each.index, each.until + 1))) {
       const left = timeline.x(index), wide = Math.max(timeline.x(until + 1) - left, 1);
       context.fillStyle = colourOf(a < b ? '--run-a' : '--run-b');
       context.fillRect(left, top + (a < b ? 0 : half), wide, half);

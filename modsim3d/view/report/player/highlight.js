@@ -50,7 +50,7 @@ function chosenBox(frame, vessel, alarm) {
 
 // The stretch that plays again and again, if there is one.
 function markStretch(timeline, stretch) {
-  if (!stretch) return;
+  if (!stretch || !timeline.shows(stretch.first, stretch.last + 1)) return;
   const { context, height } = timeline, from = timeline.x(stretch.first), to = timeline.x(stretch.last + 1);
   context.fillStyle = colourOf('--accent');
   context.globalAlpha = 0.18;

@@ -34,7 +34,7 @@ class Lanes extends LanePanel {
   lane(lane, top) {
     const { context, timeline, recording } = this, { facts } = recording, high = LANE_PX - 4;
     timeline.text(context, this.title(lane), 0, top + LANE_PX / 2, timeline.left - 6);
-    for (const { from, to, vessel, pale } of lane.stretches) {
+    for (const { from, to, vessel, pale } of lane.stretches.filter((each) => timeline.shows(each.from, each.to))) {
       const left = timeline.x(from), wide = Math.max(timeline.x(to) - left, LEAST_PX);
       context.fillStyle = trackColour(vessel, facts);
       context.globalAlpha = pale ? 0.4 : 1;
@@ -42,10 +42,10 @@ class Lanes extends LanePanel {
       context.globalAlpha = 1;
     }
     context.fillStyle = colourOf('--ink');
-    for (const { from, to } of this.occlusions(lane)) {
+    for (const { from, to } of this.occlusions(lane).filter((each) => timeline.shows(each.from, each.to))) {
       context.fillRect(timeline.x(from), top + high + 1, Math.max(timeline.x(to) - timeline.x(from), 1), 2);
     }
-    for (const { index, switched } of lane.marks) this.mark(timeline.x(index), top, switched);
+    for (const { index, switched } of lane.marks.filter((each) => timeline.shows(each.index))) this.mark(timeline.x(index), top, switched);
   }
 
   title({ number, vessel }) {

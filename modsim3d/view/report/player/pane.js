@@ -33,8 +33,8 @@ class Pane {
   frame(index) {
     const { recording, camera } = this;
     return {
-      index, camera, shapes: recording.shapes(index, camera), truths: recording.truths(index, camera),
-      detections: recording.detections(index, camera),
+      index, camera, shapes: recording.shapes(index, camera),
+      ...atLeast(recording.least, recording.truths(index, camera), recording.detections(index, camera)),
     };
   }
 

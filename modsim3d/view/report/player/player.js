@@ -22,10 +22,12 @@ class Player {
     this.momentRow = new MomentControls(this);
     this.list = new VesselList($('vessels'), facts, (vessel) => this.choose(this.followed === vessel ? null : vessel));
     this.numbers = new Numbers(this);
+    this.threshold = new Threshold(this);
     this.actions = {
       play: () => this.play(!this.playing), back: () => this.step(-1), forward: () => this.step(1),
       zoomIn: () => this.zoom(1.5), zoomOut: () => this.zoom(1 / 1.5), home: () => this.home(), whole: () => this.whole(),
       previous: () => this.momentRow.seek(-1), next: () => this.momentRow.seek(1), loop: () => this.repeat(),
+      timeIn: () => this.zoomTime(2), timeOut: () => this.zoomTime(0.5), timeWhole: () => this.zoomTime(0),
       link: () => copyLink(this), save: () => savePicture(this), keys: () => this.keyHelp.toggle(),
     };
     this.fill();
@@ -64,7 +66,7 @@ class Player {
   }
 
   listen() {
-    for (const button of document.querySelectorAll('.transport [data-do]')) {
+    for (const button of document.querySelectorAll('.transport [data-do], .time [data-do]')) {
       button.addEventListener('click', () => this.actions[button.dataset.do]());
     }
     $('slider').addEventListener('input', () => this.go(Number($('slider').value)));
@@ -76,6 +78,11 @@ class Player {
     rove($('vessels'));
     const { timeline, lanes } = this;
     listenOnTimeline(timeline, this, $('hint'));
+    timeline.canvas.addEventListener('wheel', (event) => {
+      if (!event.ctrlKey && !event.metaKey) return;
+      event.preventDefault();
+      this.zoomTime(Math.exp(-event.deltaY / 400), timeline.indexAt(event.offsetX));
+    }, { passive: false });
     const hint = { element: $('hint'), text: (x, y) => timeline.say(timeline.indexAt(x), timeline.vesselAt(y)) };
     listenToTime(timeline.canvas, this, (y) => timeline.vesselAt(y), hint);
     const { differenceLanes } = this;
@@ -133,6 +140,7 @@ class Player {
     const whole = index !== null; // an address with a step says all: what it leaves out is as usual
     if (whole || asked.has('beside')) this.stage.beside(asked.get('beside') ?? '');
     if (whole || layers) this.show(layers ?? this.usual);
+    if (whole || asked.has('confidence')) this.threshold.set(Number(asked.get('confidence')) || 0);
     if (whole) this.go(index);
     if (whole || vessel !== null) this.choose(vessel);
     return whole;
@@ -151,6 +159,7 @@ class Player {
   changePane() {
     this.alarm = null;
     this.moments.recording = this.recording;
+    this.threshold?.count();
     this.resize();
     this.momentRow.fill();
   }
@@ -158,6 +167,12 @@ class Player {
   home() { this.stage.home(); this.draw(); }
 
   whole() { this.pane.whole(); this.draw(); }
+
+  // Zoom the timeline around a step; 0 shows the whole run.
+  zoomTime(factor, index = this.index) {
+    this.timeline.zoom(factor, index);
+    this.draw();
+  }
 
   zoom(factor) { this.pane.zoom(factor); this.draw(); }
 
@@ -234,6 +249,7 @@ class Player {
     this.list.show(frame, pane.facts.carrier, this.playing, stage.otherFrame);
     this.list.mark(close.vessel, this.followed);
     this.numbers.show(frame);
+    this.timeline.keep(index);
     this.timeline.draw(index, this.followed);
     markStretch(this.timeline, this.loop.marked);
     this.lanes?.draw(index);

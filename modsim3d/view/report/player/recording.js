@@ -16,7 +16,7 @@ async function openRecording(name) {
 
 class Recording {
   constructor(name, facts, columns) {
-    Object.assign(this, { name, facts, columns, length: facts.length });
+    Object.assign(this, { name, facts, columns, length: facts.length, least: 0 });
     this.rowsRead = 0; // how many rows were looked at, so that a test can see that a frame costs no more than itself
     this.still = new Outlines(columns);
     this.parts = new Map(); // by number: a part that is unpacked, or the promise of it; the one used last comes last

@@ -1,5 +1,6 @@
 // The timeline of one camera: performance state, counts of what went wrong, visible fraction of each vessel.
 
+const LEAST_STEPS = 20; // that the timeline shows
 const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS = 18.5, FEWER_ROWS = 12.5, NAME_LEFT_PX = 8;
 const BARS = [['missed', 'missed'], ['false', 'false'], ['mislabelled', 'wrong class'], ['bad', 'IoU < 0.5'], ['off', 'off vessel']];
 
@@ -16,10 +17,13 @@ class Timeline {
   // Lay out a camera's rows and draw what does not move; drawing the playhead copies it.
   prepare(recording, camera) {
     const { facts } = recording;
+    if (this.to === undefined) [this.from, this.to] = [0, recording.length]; // the steps that it shows
     Object.assign(this, { recording, camera, overview: recording.overview(camera) });
     this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.overview.everSeen(vessel));
     const width = this.panel.parentElement.clientWidth;
-    this.left = Math.min(132, 0.32 * width);
+    this.context.font = '12px system-ui, sans-serif';
+    const widest = Math.max(0, ...this.vessels.map((vessel) => this.context.measureText(facts.vessels[vessel].name).width));
+    this.left = Math.min(Math.max(132, widest + NAME_LEFT_PX + 8), 0.32 * width);
     this.wide = width - this.left;
     // Misses and false positives always, the rest where there is some.
     this.kinds = BARS.filter(([kind], i) => i < 2 || this.overview[kind].some((count) => count));
@@ -63,10 +67,11 @@ class Timeline {
 
   // First bin of steps and the one after the last of each column of pixels, where it is, and how many steps it has.
   pixelColumns() {
-    const { bins } = this.overview, count = Math.max(1, Math.min(Math.round(this.wide), bins)), columns = [];
+    const begin = this.overview.binOf(this.from), bins = this.overview.binOf(this.to - 1) + 1 - begin;
+    const count = Math.max(1, Math.min(Math.round(this.wide), bins)), columns = [];
     const edge = (bin) => Math.round(this.x(Math.min(this.overview.firstOf(bin), this.recording.length))); // on whole pixels there are no seams
     for (let k = 0; k < count; k++) {
-      const first = Math.floor((k * bins) / count), stop = Math.floor(((k + 1) * bins) / count), x = edge(first);
+      const first = begin + Math.floor((k * bins) / count), stop = begin + Math.floor(((k + 1) * bins) / count), x = edge(first);
       columns.push({ first, stop, x, wide: edge(stop) - x, steps: this.overview.stopOf(stop - 1) - this.overview.firstOf(first) });
     }
     return columns;
@@ -122,7 +127,7 @@ class Timeline {
   }
 
   axis(context) {
-    const { times } = this.recording.facts, y = this.height - AXIS_PX / 2 + 2, first = times[0], last = times.at(-1);
+    const { times } = this.recording.facts, y = this.height - AXIS_PX / 2 + 2, first = times[this.from], last = times[this.to - 1];
     const least = ((last - first) * 70) / this.wide, power = 10 ** Math.floor(Math.log10(least || 1));
     const apart = [1, 2, 5, 10].map((part) => part * power).find((step) => step >= least) ?? 1;
     context.font = '12px system-ui, sans-serif';
@@ -135,11 +140,36 @@ class Timeline {
     }
   }
 
-  x(index) { return this.left + (index * this.wide) / this.recording.length; }
+  // Where a step begins; at the edge for steps that are not shown.
+  x(index) { return this.left + (clamped(index - this.from, 0, this.to - this.from) * this.wide) / (this.to - this.from); }
 
   indexAt(x) {
-    const index = Math.floor(((x - this.left) / this.wide) * this.recording.length);
-    return Math.min(Math.max(index, 0), this.recording.length - 1);
+    const index = Math.floor(this.from + ((x - this.left) / this.wide) * (this.to - this.from));
+    return clamped(index, this.from, this.to - 1);
+  }
+
+  // Whether any of some steps is shown.
+  shows(first, stop = first + 1) { return first < this.to && stop > this.from; }
+
+  // Zoom around a step, which stays where it is; 0 shows all.
+  zoom(factor, index) {
+    const { length } = this.recording, before = this.to - this.from;
+    const span = Math.round(clamped(factor ? before / factor : length, Math.min(LEAST_STEPS, length), length));
+    this.look(Math.round(index - ((index - this.from) * span) / before), span);
+  }
+
+  // Move to a step that is not shown.
+  keep(index) {
+    const span = this.to - this.from;
+    if (!this.shows(index)) this.look(index - Math.round(span / 8), span);
+  }
+
+  look(from, span) {
+    this.from = clamped(from, 0, this.recording.length - span);
+    this.to = this.from + span;
+    this.columns = this.pixelColumns();
+    this.counted = new Map();
+    this.paint();
   }
 
   vesselAt(y) {
