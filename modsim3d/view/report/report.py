@@ -63,7 +63,7 @@ SCRIPTS = (  # in the order in which they need each other; in the page they are 
     *("vessel_list.js", "moments.js", "strips.js", "moment_controls.js", "timeline.js", "lane_panel.js", "lanes.js"),
     *("differences.js", "difference_lanes.js", "above.js", "legend.js", "hint.js", "gestures.js", "focus.js"),
     *("hover.js", "numbers.js", "share.js", "loop.js", "playback.js", "keys.js", "key_help.js", "address.js"),
-    *("threshold.js", "player.js", "start.js"),
+    *("threshold.js", "gallery.js", "player.js", "start.js"),
 )
 STYLES = (
     *("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css"),
@@ -129,7 +129,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         "tables": text.tables,
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if text.lanes else "",
         "differences": "\n" + _part("differences.html").rstrip("\n") if differences else "",
-        **{name: _part(f"{name}.html") for name in ("vessel_list", "note")},
+        **{name: _part(f"{name}.html") for name in ("vessel_list", "note", "gallery")},
         "moments": _part("moments.html").replace("{{actions}}", _part("actions.html")),
         "numbers": _part("numbers.html").replace("{{quantum}}", f"{recordings[0].facts['quantum']:.3g}"),
         "recordings": "\n".join([*data, *([differences] if differences else [])]),

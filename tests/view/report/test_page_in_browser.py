@@ -286,3 +286,28 @@ def test_the_timeline_zooms_around_the_step_and_goes_along_with_it(browser, trac
     assert browser.run("player.index") == pytest.approx(first + STEPS // 4, abs=1)
     browser.click("[data-do=timeWhole]")
     assert browser.run("[player.timeline.from, player.timeline.to]") == [0, STEPS]
+
+
+GALLERY = """new Promise(done => { const look = () => document.querySelector('#mistakesCount').textContent.includes(' of ')
+    ? done(1) : setTimeout(look, 20); look(); })"""
+
+
+def test_all_mistakes_are_pictures_to_filter_that_lead_to_their_frames(browser, mistaken_page):
+    browser.open(mistaken_page, hash="#step=0")
+    browser.click("#mistakes summary")
+    browser.run(GALLERY)
+    kinds = ("missed", "false", "mislabelled", "bad", "off")
+    counts = {kind: browser.run(f"player.recording.momentCount(0, '{kind}')") for kind in kinds}
+    assert browser.text("#mistakesCount").startswith(f"{sum(counts.values())} of {sum(counts.values())} in ")
+    browser.choose("byKind", "missed")
+    browser.choose("byRange", "1")
+    browser.run("new Promise(done => setTimeout(done, 100))")
+    shown = int(browser.text("#mistakesCount").split()[0])
+    thumbs = browser.run("[...document.querySelectorAll('#thumbs button')].map((each) => each.textContent)")
+    assert 0 < len(thumbs) == min(shown, 48) and shown < counts["missed"]
+    assert all("missed" in each and 100 <= int(each.split()[-2]) <= 200 for each in thumbs)
+    browser.click("#thumbs button")
+    browser.run("new Promise(done => setTimeout(done, 100))")
+    truth = browser.run("player.stage.frames[0].truths.find(({ vessel }) => vessel === player.followed)")
+    assert truth["missed"] and 100 <= truth["depth"] < 200
+    assert thumbs[0].startswith(f"{browser.run('player.recording.facts.timestamps[player.index]')} s")

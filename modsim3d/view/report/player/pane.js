@@ -30,13 +30,7 @@ class Pane {
   }
 
   // What the camera shows at a step.
-  frame(index) {
-    const { recording, camera } = this;
-    return {
-      index, camera, shapes: recording.shapes(index, camera),
-      ...atLeast(recording.least, recording.truths(index, camera), recording.detections(index, camera)),
-    };
-  }
+  frame(index) { return frameOf(this.recording, index, this.camera, this.recording.least); }
 
   draw(frame, shown, marked) {
     this.picture.draw(this.recording, frame.index, this.camera, shown, frame, marked);
@@ -68,4 +62,10 @@ class Pane {
 
   // Stay with the image.
   stay() { this.picture.view = viewWithin(this.picture.view, this.picture.aspect, this.size); }
+}
+
+// What a camera shows at a step, with the detections that have a least confidence.
+function frameOf(recording, index, camera, least = 0) {
+  const { truths, detections } = atLeast(least, recording.truths(index, camera), recording.detections(index, camera));
+  return { index, camera, shapes: recording.shapes(index, camera), truths, detections };
 }

@@ -23,6 +23,7 @@ class Player {
     this.list = new VesselList($('vessels'), facts, (vessel) => this.choose(this.followed === vessel ? null : vessel));
     this.numbers = new Numbers(this);
     this.threshold = new Threshold(this);
+    this.gallery = new Gallery(this);
     this.actions = {
       play: () => this.play(!this.playing), back: () => this.step(-1), forward: () => this.step(1),
       zoomIn: () => this.zoom(1.5), zoomOut: () => this.zoom(1 / 1.5), home: () => this.home(), whole: () => this.whole(),
@@ -160,6 +161,7 @@ class Player {
     this.alarm = null;
     this.moments.recording = this.recording;
     this.threshold?.count();
+    this.gallery?.open();
     this.resize();
     this.momentRow.fill();
   }
