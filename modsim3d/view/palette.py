@@ -15,8 +15,10 @@ TRACKS: Colours = (
     *((153, 221, 255), (187, 204, 51), (170, 170, 0)),
 )
 """Of tracks by number: the light scheme of Tol (2021), "Colour Schemes", without orange, which is near ALARM."""
-OBSTACLE: Colour = (122, 122, 122)
-OBSTACLES: Colours = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))  # in turn, where they are told apart
+OBSTACLE: Colour = (141, 133, 119)  # land, piers and all else that is no vessel, in pictures, on pages and on maps
+LAND: Colour = (207, 200, 186)
+SOIL: Colour = (92, 86, 75)
+OBSTACLES: Colours = (OBSTACLE, (174, 167, 153), SOIL, LAND)  # in turn, where they are told apart
 STATES: tuple[Colour, Colour] = ((180, 168, 216), (72, 30, 126))
 """The first and the last of a detector's performance states, pale and strong; no vessel has their hue."""
 PAPER: Colour = (250, 250, 248)
@@ -40,12 +42,12 @@ def track_colour(number: int) -> Colour:
 
 
 def obstacle_colour(index: int) -> Colour:
-    """The grey of an obstacle, by its index in the scene, where obstacles are to be told apart."""
+    """The colour of an obstacle, by its index in the scene, where obstacles are to be told apart."""
     return OBSTACLES[index % len(OBSTACLES)]
 
 
 def owner_colour(occluder: int, vessels: int) -> Colour:
-    """The colour of a vessel, or the grey of an obstacle for an index beyond the vessels."""
+    """The colour of a vessel, or the colour of an obstacle for an index beyond the vessels."""
     return vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)
 
 

@@ -288,8 +288,10 @@ def test_the_timeline_zooms_around_the_step_and_goes_along_with_it(browser, trac
     assert browser.run("[player.timeline.from, player.timeline.to]") == [0, STEPS]
 
 
-GALLERY = """new Promise(done => { const look = () => document.querySelector('#mistakesCount').textContent.includes(' of ')
-    ? done(1) : setTimeout(look, 20); look(); })"""
+GALLERY = """new Promise(done => {
+    const said = () => document.querySelector('#mistakesCount').textContent.includes(' of ');
+    const look = () => said() ? done(1) : setTimeout(look, 20);
+    look(); })"""
 
 
 def test_all_mistakes_are_pictures_to_filter_that_lead_to_their_frames(browser, mistaken_page):
