@@ -26,6 +26,10 @@ def report_command(
         Path | None,
         option("DIR|FILM", "Pictures to show below the boxes: a folder with one for each frame, or a film."),
     ] = None,
+    look: Annotated[
+        str | None,
+        option("LOOK,...", "How vessels and sea look in pictures of the mistakes: shaded, as in view film.", "--look"),
+    ] = None,
     parts: Annotated[
         bool, flag("--parts", "Write the frames into a folder beside the page, for very long runs.")
     ] = False,

@@ -1,5 +1,6 @@
 """Pictures of the user that a page shows below the boxes: files of a folder, or those of a film."""
 
+import base64
 import os
 import re
 from collections import Counter
@@ -16,12 +17,18 @@ from PIL import Image
 
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Camera
-from modsim3d.io.atomic_write import put_folder_in_place
+from modsim3d.io.atomic_write import encoded, put_folder_in_place
 from modsim3d.io.validation import shown
+from modsim3d.runs.selection import Selection
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.films.renderer import open_film_renderer
+from modsim3d.view.films.request import Look, PictureRequest
+from modsim3d.view.report.overview import VesselOutcome
+from modsim3d.view.report.recorder import Recording
 
 KINDS = (".jpg", ".jpeg", ".png", ".webp", ".bmp")
 FILM_FILES = "*.jpg"
+KEYFRAMES, KEYFRAME_PX = 60, 960  # most pictures of a scene for each camera, and their width
 _NAME = attrgetter("name")
 _DIGITS = re.compile(r"(\d+)")
 _QUALITY = 85
@@ -43,6 +50,34 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
         shown_at = np.searchsorted(steps, np.arange(0, run.steps, every), side="right") - 1
         addresses = [quote(Path(os.path.relpath(file, page.parent)).as_posix()) for file in files]
         found.append({"files": addresses, "shown": shown_at.tolist()})
+    return found
+
+
+def keyframe_facts(run: StoredRun, look: Look, shown: Recording, every: int) -> list[dict[str, Any]]:
+    """For each camera, as `image_facts`, pictures of the scene inside the page: of the first frames of misses and of
+    detections with faults, at most `KEYFRAMES` of them, evenly.
+    Raises RendererError without OpenGL, and ModsimError for a labelled video, of which no scene is known."""
+    if run.scene.labels is not None:
+        raise ModsimError("--look: a labelled video has no scene to draw; --pictures shows its images")
+    request, found = PictureRequest("scene", (), width=KEYFRAME_PX, look=look), list[dict[str, Any]]()
+    for camera, each in enumerate(shown.outcomes):
+        faults = np.unique(each.first[each.outcome >= VesselOutcome.WRONG_CLASS])
+        chosen = faults[np.linspace(0, len(faults) - 1, min(len(faults), KEYFRAMES)).astype(np.int64)]
+        places = np.full(-(-run.steps // every), -1)
+        places[chosen] = np.arange(len(chosen))
+        files = list[str]()
+        if len(chosen):
+            steps = tuple((chosen * every).tolist())
+            selection = Selection(run, (camera,), steps, np.ones(len(steps)))
+            plan = request.plan(selection)
+            layout = plan.layout(run.scene)
+            (size,) = layout.panel_sizes
+            with open_film_renderer(run.scene, plan) as renderer:
+                for step in selection.step_frames():
+                    sheet = renderer.draw(step).crop((0, layout.head_px, size[0], layout.head_px + size[1]))
+                    data = base64.b64encode(encoded(sheet, ".jpg", quality=_QUALITY)).decode("ascii")
+                    files.append(f"data:image/jpeg;base64,{data}")
+        found.append({"files": files, "shown": places.tolist()})
     return found
 
 

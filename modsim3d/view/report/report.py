@@ -17,12 +17,13 @@ from modsim3d.core.errors import RunDirectoryError
 from modsim3d.core.text import counted, in_percent
 from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.films.request import Look
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages import provenance
 from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style, with_contents
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 from modsim3d.view.report import count_tables
-from modsim3d.view.report.images import image_facts
+from modsim3d.view.report.images import image_facts, keyframe_facts
 from modsim3d.view.report.packing import as_text
 from modsim3d.view.report.recorder import Recording, recording
 
@@ -160,14 +161,15 @@ def write_report(
     *,
     in_files: bool = False,
     pictures: Path | None = None,
+    look: Look | None = None,
 ) -> Path:
     """Write the page of a run, finished or interrupted, and return its file, by default `report.html` in the run
     directory; the same run gives the same bytes.
     The page shows every K-th step (`every`); its tables count all of them. It has lanes for the tracks `followed`,
     which were read from `tracks`, and says that `command` made it, or the call from Python if None. With `in_files` it
     reads the parts of the recording from `parts_folder(out)` when it needs them. It shows the pictures in the folder
-    `pictures` below the boxes, from where they are. `progress` is called with the number
-    of shown steps done since its last call.
+    `pictures` below the boxes, from where they are; or with `look` pictures of the scene that looks so, at first frames
+    of mistakes. `progress` is called with the number of shown steps done since its last call.
     Raises RunDirectoryError if an interrupted run has kept nothing yet or the tables are not what a run has written,
     and OutputError for a file that cannot be written."""
     check_steps(run)
@@ -177,6 +179,8 @@ def write_report(
     frames = recording(run, every, progress, followed, count=counts.add)
     if shown is not None:
         frames.facts["images"] = shown
+    if look is not None:
+        frames.facts.update(images=keyframe_facts(run, look, frames, every), keyframes=True)
     lead = html.escape(_lead(run, every))
     text = PageText(
         title=f"{run.scene.name}: report of a run",

@@ -9,6 +9,7 @@ from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.selection import check_every
 from modsim3d.runs.stored_run import StoredRun, opened_run
+from modsim3d.view.films.request import Look
 from modsim3d.view.followed_tracks import followed_tracks, read_of_tracks
 from modsim3d.view.report.images import FILM_FILES, film_frames
 from modsim3d.view.report.report import PART_FILES, REPORT_FILE, parts_folder, write_report
@@ -25,6 +26,7 @@ def report(
     similarity: str | None = None,
     threshold: float | None = None,
     pictures: StrPath | None = None,
+    look: str | None = None,
     parts: bool = False,
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
@@ -42,6 +44,7 @@ def report(
         similarity: Similarity of a track's box and a vessel's: `iou`, or by distance, `centre:40`, 0 from 40 px on.
         threshold: Least similarity at which a track follows a vessel; 0.5 if None.
         pictures: Pictures to show below the boxes: a folder with one for each frame, or a film.
+        look: How vessels and sea look in pictures of mistakes below the boxes, such as `shaded`; none if None.
         parts: Write the frames into a folder beside the page, for very long runs.
         overwrite: Replace what is there.
         progress: Called with the number of steps done since its last call.
@@ -51,9 +54,12 @@ def report(
         ModsimError: The runs, the tracks or the pictures are wrong, or the page cannot be written.
         TypeError: A path is neither text nor a path.
     """
-    for name, given in (("--tracks", tracks), ("--pictures", pictures)):
+    for name, given in (("--tracks", tracks), ("--pictures", pictures), ("--look", look)):
         if other is not None and given is not None:
             raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
+    if look is not None and pictures is not None:
+        raise ModsimError("--look and --pictures each say what is below the boxes: leave one out")
+    drawn_as = None if look is None else Look.parse(look)
     check_every(every)
     run, second = opened_run(run), None if other is None else opened_run(other)
     read = [*read_of_run(run.folder), *read_of_tracks(tracks), *([] if second is None else read_of_run(second.folder))]
@@ -72,5 +78,6 @@ def report(
             write_side_by_side(run, second, path, every, progress, call, in_files=parts)
         else:
             shown = None if tracks is None else as_path(tracks, "tracks")
-            write_report(run, path, every, progress, followed, call, shown, in_files=parts, pictures=images)
+            of = (run, path, every, progress, followed, call, shown)
+            write_report(*of, in_files=parts, pictures=images, look=drawn_as)
     return Written((path, *folders), () if followed is None else (followed.sentence(),))

@@ -12,12 +12,14 @@ from modsim3d import load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import detected_rows
 from modsim3d.view import palette
+from modsim3d.view.films.request import Look
 from modsim3d.view.report.overview import WHOLE
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
 from tests.scenes import camera_keys, crossing, write_scene
 from tests.view.report.conftest import STEPS
 
+FAULTS = ("missed", "mislabelled", "bad", "off")
 FLAGS = {"false": Outcome.FALSE_POSITIVE, "mislabelled": Outcome.MISLABELLED}
 FLAGS |= {"bad": Outcome.BELOW_HALF_IOU, "off": Outcome.OFF_VESSEL}
 
@@ -313,3 +315,24 @@ def test_all_mistakes_are_pictures_to_filter_that_lead_to_their_frames(browser, 
     truth = browser.run("player.stage.frames[0].truths.find(({ vessel }) => vessel === player.followed)")
     assert truth["missed"] and 100 <= truth["depth"] < 200
     assert thumbs[0].startswith(f"{browser.run('player.recording.facts.timestamps[player.index]')} s")
+
+
+def test_pictures_of_the_scene_are_below_the_boxes_of_mistakes_and_not_while_the_run_plays(
+    browser, mistaken_folder, tmp_path
+):
+    run = open_run(mistaken_folder)
+    browser.open(write_report(run, tmp_path / "look.html", every=60, look=Look.parse("shaded")))
+    images = browser.run("player.recording.facts.images.map(({ files, shown }) => [files.length, shown])")
+    for camera, (count, shown) in enumerate(images):
+        of = f"{[*FAULTS]}.flatMap((kind) => player.recording.moments({camera}, kind).map(({{ index }}) => index))"
+        chosen = {index for index, place in enumerate(shown) if place >= 0}
+        assert len(chosen) == count > 0 and max(shown) == count - 1 and chosen <= set(browser.run(of))
+    index = next(index for index, place in enumerate(images[0][1]) if place >= 0)
+    browser.run(f"new Promise(done => {{ player.whole(); player.go({index}); setTimeout(done, 500); }})")
+    width, height = browser.run("player.pane.size")
+    x, y = browser.run(f"player.picture.toCanvas({width / 2}, 9)")
+    seen, at = browser.pixels(), (int(y), int(x), slice(0, 3))
+    aspect = browser.run(f"(image => image.naturalWidth / image.naturalHeight)(player.recording.image({index}, 0))")
+    assert aspect == pytest.approx(width / height, rel=0.005) and tuple(seen[at]) != palette.SKY
+    browser.run("(player.playback.playing = true, player.draw(), 0)")
+    assert tuple(browser.pixels()[at]) == palette.SKY

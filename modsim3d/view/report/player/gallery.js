@@ -63,7 +63,10 @@ class Gallery {
     const canvas = element('canvas', { width: THUMB.wide * ratio, height: THUMB.high * ratio }), picture = new Picture(canvas);
     picture.ratio = ratio;
     picture.lookAt(mistake.box, cameras[camera].size);
-    picture.draw(recording, mistake.index, camera, { ...player.usual, labels: false, names: false }, frameOf(recording, mistake.index, camera));
+    const frame = frameOf(recording, mistake.index, camera), shown = { ...player.usual, labels: false, names: false };
+    const draw = () => picture.draw(recording, mistake.index, camera, shown, frame);
+    canvas.addEventListener('loaded', draw); // its picture
+    draw();
     const range = mistake.range === null ? '' : `${mistake.range.toFixed(0)} m`, vessel = mistake.vessel === null ? '' : vessels[mistake.vessel].name;
     const words = [`${timestamps[mistake.index]} s`, kindOf(mistake.kind).name, vessel, range].filter((word) => word).join(' · ');
     const button = element('button', { type: 'button' }, canvas, element('span', { textContent: words }));

@@ -68,7 +68,7 @@ class Picture {
     this.background(cameras[camera].size, recording.horizon(index, camera), colours);
     const image = recording.image(index, camera, () => this.canvas.dispatchEvent(new Event('loaded')));
     if (image) context.drawImage(image, ...this.toCanvas(0, 0), ...cameras[camera].size.map((side) => side * this.scale));
-    if (shown.silhouettes) for (const shape of frame.shapes) this.silhouette(recording, shape);
+    if (shown.silhouettes && !(image && recording.facts.keyframes)) for (const shape of frame.shapes) this.silhouette(recording, shape);
     context.restore();
     for (const truth of frame.truths) {
       const wider = this.setOff(truth);

@@ -55,7 +55,7 @@ class Recording {
   // The picture that a camera has taken at a step, or nothing until it is there; `loaded` is called when it is.
   image(index, camera, loaded) {
     const { files, shown } = this.facts.images?.[camera] ?? {}, file = files?.[shown[index]];
-    if (!file) return null;
+    if (!file || (this.facts.keyframes && window.player?.playing)) return null; // single frames would flash by
     this.images ??= new Map();
     let image = this.images.get(file);
     if (!image) {
