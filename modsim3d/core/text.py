@@ -110,8 +110,10 @@ def three_digits(value: float | None) -> str:
 
 def three_digits_with_interval(value: float | None, low: float | None, high: float | None) -> str:
     """A number with its interval; the number alone where there is no interval."""
-    if value is None or low is None or high is None or not (isfinite(low) and isfinite(high)):
+    if value is None or not isfinite(value):
         return three_digits(value)
+    if low is None or high is None or not (isfinite(low) and isfinite(high)):
+        return _with_decimals(value, _decimals(value))
     said, *ends = (_with_decimals(each, _decimals(value)) for each in (value, low, high))
     return f"{said} [{ends[0]}, {ends[1]}]"
 

@@ -109,7 +109,7 @@ def lead(report: LearnReport) -> str:
     return (
         f"{len(labelled.images):,} images, {len(labelled.annotations):,} annotations, "
         f"{len(labelled.results):,} detections; matched by {report.matched_by}, {counted}; "
-        f"{in_percent(report.level)} intervals by bootstrap over {learned.units[None]} {drawn}."
+        f"{in_percent(report.level)} intervals by bootstrap over {learned.units[None]:,} {drawn}."
     )
 
 

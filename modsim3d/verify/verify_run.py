@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -169,9 +169,10 @@ def document(verified: VerifiedRun) -> Document:
         "Left: how many frames in a row a vessel is missed; line: expected. Right: share of true ones among the "
         "detections of each confidence, with 95 % intervals; one that is a probability follows the dashes."
     )
+    lead = Text(conclusion(verification), "lead" if verification.obeys else "bad", Where.EVERYWHERE & ~Where.PAGE)
     return Document(
         f"{verified.run.scene.name}: does the run obey its detector file?",
-        [Text(conclusion(verification), "lead" if verification.obeys else "bad", Where.EVERYWHERE)],
+        [replace(lead, text=f"{'✓' if verification.obeys else '✗'} {lead.text}", where=Where.PAGE), lead],
         [
             Text(about, "soft", Where.PAGE),
             Text(f"IoU of the true detections with their vessels: {evidence.iou}."),

@@ -1,7 +1,7 @@
 """A comparison of sources as terminal tables, `compare.json` and a page."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -182,7 +182,9 @@ def _introduction(figures: ComparisonFigures) -> list[Text]:
         "front. Where its boxes differ by more than a pixel, every pixel of the vessel was checked: it must be set if "
         "its centre is inside the exact region, and only then."
     )
-    return [Text(answer, "bad" if figures.unexplained else "lead"), Text(method, "soft", Where.PAGE)]
+    lead = Text(answer, "bad" if figures.unexplained else "lead", Where.TERMINAL)
+    page = replace(lead, text=f"{'✗' if figures.unexplained else '✓'} {answer}", where=Where.PAGE)
+    return [page, lead, Text(method, "soft", Where.PAGE)]
 
 
 def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer, styles: Styles) -> Image.Image:

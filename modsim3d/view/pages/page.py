@@ -126,7 +126,7 @@ def with_contents(content: str) -> str:
     content = _SECTION.sub(lambda found: f'<h2 id="section-{next(numbers)}"{found[0][3:]}', content)
     links = (f'<li><a href="#section-{number}">{title}</a></li>' for number, title in enumerate(titles, start=1))
     contents = f'<nav class="contents" aria-label="Contents"><ul>{"".join(links)}</ul></nav>\n'
-    return content.replace('<h2 id="section-1"', contents + '<h2 id="section-1"', 1)
+    return re.sub("<h[23]", lambda found: contents + found[0], content, count=1)
 
 
 def document_page(document: doc.Document, rests_on: Provenance) -> str:

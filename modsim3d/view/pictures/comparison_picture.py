@@ -150,7 +150,7 @@ def _key(canvas: Canvas, styles: Styles, counts: Sequence[int], region: str) -> 
     for (name, colour), count in zip(PIXELS, counts, strict=True):
         if count:
             canvas.draw.rectangle((x, 6 + LINE_PX, x + 32, 28 + LINE_PX), fill=colour)
-            x = _text(canvas, x, 6 + LINE_PX, f"{count} {name.format(region=region)}")
+            x = _text(canvas, x, 6 + LINE_PX, f"{count:,} {name.format(region=region)}")
 
 
 def _text(canvas: Canvas, x: int, y: int, text: str) -> int:
