@@ -250,7 +250,7 @@ def test_a_tracker_that_reports_nothing_meets_no_score_and_terminal_and_page_say
     text = " ".join(said.out.split())
     assert said.status == 1 and "sort, ? undecided: Over 3 traffic seeds" in text
     assert "No tracks at all would meet it too" in text
-    failed = text.partition("2. assa at least 0.01 resting on 1 %: ✗ failed")[2]
+    failed = text.partition("2. AssA at least 0.01 resting on 1 %: ✗ failed")[2]
     assert "late, ✗ failed: Over 3 traffic seeds no run has assa. In 3 runs the tracker" in failed
     assert "interval, each end 95 %" in text and "those of the requirements, above" in text
     _, _, means = said.out.partition("Means")
