@@ -131,6 +131,8 @@ def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_fol
     assert call("report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0
     assert json.loads(out.read_text().partition('id="facts-B">')[2].partition("</script>")[0])["every"] == 20
     wrong = {"show different truth": (run_folder,), "--tracks is for one run": (other_folder, "--tracks", "tracks")}
+    wrong |= {"--look is for one run": (other_folder, "--look", "shaded"), "--look grim: needs": ("--look", "grim")}
+    wrong["leave one out"] = ("--look", "shaded", "--pictures", "images")
     for words, arguments in wrong.items():
         status, said = call("report", mistaken_folder, *arguments, "--out", refused)
         assert status == 2 and words in " ".join(said.split()) and not refused.exists()
