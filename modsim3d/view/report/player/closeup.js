@@ -32,13 +32,13 @@ class Closeup {
     return { vessel: truth?.vessel ?? null, alarm: null };
   }
 
-  // What went wrong in the frame, the nearest vessel first; without a mistake the vessel of before, or the nearest. While the
+  // What went wrong in the frame, the nearest missed vessel first; without a mistake the vessel of before, or the nearest. While the
   // run plays it stays with its vessel.
   unasked({ truths, detections }, before, playing) {
     const wrong = truths.filter((truth) => isWrong({ truth, found: detections.find((each) => each.vessel === truth.vessel && !each.false) }));
-    const alarm = wrong.length ? -1 : detections.findIndex((each) => each.false);
+    const missed = wrong.filter((truth) => truth.missed), worst = missed.length ? missed : wrong, alarm = wrong.length ? -1 : detections.findIndex((each) => each.false);
     if (!(playing && before) && alarm >= 0) return { alarm };
-    return { alarm: null, truth: (playing || wrong.includes(before) || !wrong.length) && before || (wrong.length ? wrong : truths).at(-1) };
+    return { alarm: null, truth: (playing || worst.includes(before) || !worst.length) && before || (worst.length ? worst : truths).at(-1) };
   }
 
   drawAlarm(pane, frame, shown, alarm) {
