@@ -129,7 +129,7 @@ def test_a_scene_is_shown_doubted_and_drawn_and_campaigns_and_detectors_have_the
         detected = state.confusion[:-1].sum(axis=0).mean()
         assert facts["miss_rate"] == pytest.approx(1 - detected)
         assert facts["false_alarms"] == state.false_positives_per_image
-    missed = "missed        clear 4.0%, haze 13.3%, 7.1% in the long run\n"
-    assert f"{missed}false alarms  clear 0.1, haze 0.25 an image" in modsim3d("check", "scene", file).out
+    missed = "missed           clear 4.0 %, haze 13.3 %, 7.1 % in the long run\n"
+    assert f"{missed}false positives  clear 0.1, haze 0.25 an image" in modsim3d("check", "scene", file).out
     refused = modsim3d("check", "scene", file, "--map", "map.png")
     assert refused.status == 2 and "--map are for scenes" in refused.err
