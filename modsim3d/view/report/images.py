@@ -22,9 +22,10 @@ from modsim3d.io.validation import shown
 from modsim3d.runs.selection import Selection
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.films.renderer import open_film_renderer
-from modsim3d.view.films.request import Look, PictureRequest
+from modsim3d.view.films.request import PictureRequest
 from modsim3d.view.report.overview import VesselOutcome
 from modsim3d.view.report.recorder import Recording
+from modsim3d.view.sea_and_sky import RenderStyle
 
 KINDS = (".jpg", ".jpeg", ".png", ".webp", ".bmp")
 FILM_FILES = "*.jpg"
@@ -53,7 +54,7 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
     return found
 
 
-def keyframe_facts(run: StoredRun, look: Look, shown: Recording, every: int) -> list[dict[str, Any]]:
+def keyframe_facts(run: StoredRun, look: RenderStyle, shown: Recording, every: int) -> list[dict[str, Any]]:
     """For each camera, as `image_facts`, pictures of the scene inside the page: of the first frames of misses and of
     detections with faults, at most `KEYFRAMES` of them, evenly.
     Raises RendererError without OpenGL, and ModsimError for a labelled video, of which no scene is known."""

@@ -17,7 +17,6 @@ from modsim3d.core.errors import RunDirectoryError
 from modsim3d.core.text import counted, in_percent
 from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.films.request import Look
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages import provenance
 from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style, with_contents
@@ -26,6 +25,7 @@ from modsim3d.view.report import count_tables
 from modsim3d.view.report.images import image_facts, keyframe_facts
 from modsim3d.view.report.packing import as_text
 from modsim3d.view.report.recorder import Recording, recording
+from modsim3d.view.sea_and_sky import RenderStyle
 
 # ---- A recording as parts of an HTML page ----
 
@@ -161,7 +161,7 @@ def write_report(
     *,
     in_files: bool = False,
     pictures: Path | None = None,
-    look: Look | None = None,
+    look: RenderStyle | None = None,
 ) -> Path:
     """Write the page of a run, finished or interrupted, and return its file, by default `report.html` in the run
     directory; the same run gives the same bytes.

@@ -9,7 +9,7 @@ from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.selection import check_every
 from modsim3d.runs.stored_run import StoredRun, opened_run
-from modsim3d.view.films.request import Look
+from modsim3d.view.films.request import parse_look
 from modsim3d.view.followed_tracks import followed_tracks, read_of_tracks
 from modsim3d.view.report.images import FILM_FILES, film_frames
 from modsim3d.view.report.report import PART_FILES, REPORT_FILE, parts_folder, write_report
@@ -59,7 +59,7 @@ def report(
             raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
     if look is not None and pictures is not None:
         raise ModsimError("--look and --pictures each say what is below the boxes: leave one out")
-    drawn_as = None if look is None else Look.parse(look)
+    drawn_as = None if look is None else parse_look(look)
     check_every(every)
     run, second = opened_run(run), None if other is None else opened_run(other)
     read = [*read_of_run(run.folder), *read_of_tracks(tracks), *([] if second is None else read_of_run(second.folder))]

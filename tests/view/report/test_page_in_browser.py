@@ -12,7 +12,7 @@ from modsim3d import load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import detected_rows
 from modsim3d.view import palette
-from modsim3d.view.films.request import Look
+from modsim3d.view.films.request import parse_look
 from modsim3d.view.report.overview import WHOLE
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
@@ -321,7 +321,7 @@ def test_pictures_of_the_scene_are_below_the_boxes_of_mistakes_and_not_while_the
     browser, mistaken_folder, tmp_path
 ):
     run = open_run(mistaken_folder)
-    browser.open(write_report(run, tmp_path / "look.html", every=60, look=Look.parse("shaded")))
+    browser.open(write_report(run, tmp_path / "look.html", every=60, look=parse_look("shaded")))
     images = browser.run("player.recording.facts.images.map(({ files, shown }) => [files.length, shown])")
     for camera, (count, shown) in enumerate(images):
         of = f"{[*FAULTS]}.flatMap((kind) => player.recording.moments({camera}, kind).map(({{ index }}) => index))"
