@@ -18,7 +18,6 @@ from modsim3d.campaign.search_folder import trial_run
 from modsim3d.campaign.work.layers import Made, RunLayers
 from modsim3d.campaign.work.row import DONE, error_and_said, row_of, rules_of, search_versions
 from modsim3d.campaign.work.scenes import Scenes, tracker_of, versions
-from modsim3d.campaign.worst_film import MomentFilm, film_moment, film_path
 from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.overwrite_guard import check_free
@@ -28,6 +27,7 @@ from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.track_run import track_run
 from modsim3d.tracking.trackers.registry import NamedTracker
+from modsim3d.tracking.worst_film import MomentFilm, film_moment, film_path
 from modsim3d.tracks.reading import TABLE, WORLD_TABLE, read_stored_tracks, stored_facts, track_paths
 from modsim3d.tracks.tracks import Tracks, WorldTracks
 from modsim3d.tracks.world_reading import read_world_tracks

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from modsim3d.campaign.folder import CampaignFolder
     from modsim3d.campaign.keys import ScoreKeys
     from modsim3d.campaign.reproduce import RunAgain
-    from modsim3d.campaign.worst_film import MomentFilm
+    from modsim3d.tracking.worst_film import MomentFilm
 
 NOT_THE_SAME = 1  # exit status if the run does not come out as in the campaign
 HEADER = ("", "in the campaign", "again")
@@ -92,7 +92,7 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
     options = _score_options(campaign.keys.score)
     shared.print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")
     if film is None and moment_s is not None:
-        shared.print_line(console, f"  modsim3d view frame {out} {moment_s}s --tracks {tracks} --crop vessels")
+        shared.print_line(console, f"  modsim3d view frame {out} {moment_s}s --tracks {tracks}")
     shared.print_line(console, f"  modsim3d report {out} --tracks {tracks}")
 
 

@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     from modsim3d.runs.stored_run import StoredRun
 
 MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
-FilmKind = Literal["detections", "scene", "ids", "corners", "map", "all"]
-FrameKind = Literal["detections", "scene", "ids", "corners", "all", "id_buffer"]
+FilmKind = Literal["detections", "scene", "ids", "corners", "map", "all", "plan"]
+FrameKind = Literal["detections", "scene", "ids", "corners", "all", "plan", "id_buffer"]
 FilmFormat = Literal["mp4", "gif", "png"]
 CamerasOption = Annotated[
     list[str] | None, option("NAME", "Camera to draw; repeatable.", "--camera", show_default="all cameras")
 ]
 LayersOption = Annotated[
     str | None,
-    option("NAME,...", "Layers to draw over the image (docs/pictures.md).", show_default="those of the kind"),
+    option(
+        "NAME,...", "Layers to draw over the image or on the map (docs/pictures.md).", show_default="those of the kind"
+    ),
 ]
 LookOption = Annotated[
     str | None,
@@ -39,7 +41,12 @@ LookOption = Annotated[
     ),
 ]
 CropOption = Annotated[
-    str | None, option("X0,Y0,X1,Y1|vessels", "Part of the image to draw, in pixels, or vessels: where vessels are.")
+    str | None,
+    option(
+        "X0,Y0,X1,Y1|vessels|none",
+        "Part of the image to draw, in pixels, or vessels: where vessels are, or none: all of it.",
+        show_default="vessels; none for scene and corners",
+    ),
 ]
 WidthOption = Annotated[
     int | None,
@@ -62,7 +69,11 @@ def view_film_command(
     run: shared.RunArgument,
     kind: Annotated[
         FilmKind,
-        option("KIND", "Kind of pictures: detections, scene, ids, corners, map, or all: three side by side.", "--kind"),
+        option(
+            "KIND",
+            "Kind of pictures: detections, scene, ids, corners, map, all: the first three, plan: detections and map.",
+            "--kind",
+        ),
     ] = "detections",
     cameras: CamerasOption = None,
     start_s: Annotated[
@@ -96,7 +107,7 @@ def view_film_command(
 ) -> None:
     """Draw a film of a run.
 
-    Example: modsim3d view film runs/first --crop vessels
+    Example: modsim3d view film runs/first --kind all
     """
     from modsim3d.view.drawings import view_film
 
@@ -126,8 +137,8 @@ def view_frame_command(
         FrameKind,
         option(
             "KIND",
-            "Kind of picture: detections, scene, ids, corners, all: three side by side, or id_buffer: the ID at "
-            "each pixel of a camera, as a PNG of 16 bits or, by --out, as .npy.",
+            "Kind of picture: detections, scene, ids, corners, all: the first three, plan: detections and map, or "
+            "id_buffer: the ID at each pixel of a camera, as a PNG of 16 bits or, by --out, as .npy.",
             "--kind",
         ),
     ] = "detections",
@@ -144,7 +155,7 @@ def view_frame_command(
 ) -> None:
     """Draw one time step of a run as a PNG.
 
-    Example: modsim3d view frame runs/first 51s --crop vessels
+    Example: modsim3d view frame runs/first 51s
     """
     from modsim3d.view.drawings import view_frame
 
@@ -160,17 +171,21 @@ def view_map_command(
     run: shared.RunArgument,
     step: Annotated[str | None, StepArgument] = None,
     cameras: CamerasOption = None,
+    tracks: shared.TracksOption = None,
+    similarity: shared.SimilarityOption = None,
+    threshold: shared.ThresholdOption = None,
+    layers: LayersOption = None,
     width: WidthOption = None,
     out: OutOption = None,
     overwrite: shared.OverwriteOption = False,
 ) -> None:
     """Draw the scene of a run from above, as PNG, SVG or PDF, at its last step unless another is given.
 
-    Example: modsim3d view map runs/first 51s --out map.svg
+    Example: modsim3d view map runs/first 51s --layers vectors,cpa,detections,nm --out map.svg
     """
     from modsim3d.view.drawings import view_map
 
-    opened = _opened(run)
+    opened = _opened(run, tracks)
     with timed("map"):
         _say("map", view_map(**shared.arguments(context, view_map, run=opened)))
 

@@ -12,6 +12,7 @@ from modsim3d.core.document import Block, Cell, Document, Figure, Fold, Heading,
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.io.atomic_write import write_files
+from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking import score_outcome
 from modsim3d.tracking.oracle import REFERENCES
 from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, rules_in_words
@@ -19,6 +20,7 @@ from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.tracking.world.collision import CpaErrors, MetVessel, PredictedApproaches
+from modsim3d.tracking.worst_film import ABOUT, moment_pictures
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
 
@@ -101,6 +103,10 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     if curves := _curves(scores):
         said = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
         yield Figure(partial(_alpha_chart, curves), f"{said}compare centres instead of IoU.")
+    yield Heading("Where each tracker went wrong", where=Where.PAGE)
+    yield Text(f"The worst moment of each: what it lost, before and after. {ABOUT}", "soft", Where.PAGE)
+    for each in scores.trackers:
+        yield Figure(partial(_worst_moment, scores, each), each.name)
     yield Heading("Rules")
     rules = rules_in_words(scores.rules)
     yield Table("", (), rules, where=_IN_FULL)
@@ -129,6 +135,18 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     every = [keys_of(found) for _, found in named_scores(scores)]  # counts are whole, all else has three decimals
     rows = [(key, *(number(keys[key], 0 if isinstance(keys[key], int) else 3) for keys in every)) for key in every[0]]
     yield Fold("By their keys", [Table("", header, rows, where=Where.PAGE)])
+
+
+def _worst_moment(scores: score_outcome.ScoredTracks, tracker: score_outcome.TrackScores) -> str:
+    """Pictures of the moment at which a tracker went wrong."""
+    rows, rules = RunRows.of(scores.run), scores.rules
+    if rules.cameras:
+        names = [camera.name for camera in scores.run.scene.cameras]
+        rows = rows.in_cameras(tuple(map(names.index, rules.cameras)))
+    pictures = moment_pictures(rows, tracker.track_set.tracks, None, rules)
+    return (
+        page.images(pictures, f"{tracker.name}: before and after", "jpeg", quality=82) or "<p>Nothing went wrong.</p>"
+    )
 
 
 def _provenance(scores: score_outcome.ScoredTracks, command: str | None) -> Provenance:

@@ -17,6 +17,7 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.view.films.files import FORMATS, check_encoder
 from modsim3d.view.films.film import Showing, draw_film, draw_picture
 from modsim3d.view.films.plan import WIDTH_PX, FilmPlan
+from modsim3d.view.films.renderer import bearings_of
 from modsim3d.view.films.request import PictureRequest, parse_look
 from modsim3d.view.followed_tracks import followed_tracks
 from modsim3d.view.map_marks import BirdsEye
@@ -26,7 +27,7 @@ from modsim3d.view.pictures.id_buffer import write_id_buffer
 
 FRAME_FILES = "frame_*.png"
 MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
-KINDS = ("detections", "scene", "ids", "corners", "map", "all")
+KINDS = ("detections", "scene", "ids", "corners", "map", "all", "plan")
 Names = str | Sequence[str]
 Bar = Callable[[str, int, str], AbstractContextManager[Callable[[int], None]]]
 
@@ -56,18 +57,19 @@ def view_film(
 ) -> Written:
     """Draw a film of a run.
 
-        modsim3d.view_film("runs/first", "film.gif", crop="vessels", speed=4)
+        modsim3d.view_film("runs/first", "film.gif", kind="all", speed=4)
 
     Args:
         run, out: A run or its directory; file to write, or folder of PNG files, by kind in the run directory if None.
-        kind: `detections`, `scene`, `ids`, `corners`, `map`, or `all`: three of them side by side.
+        kind: `detections`, `scene`, `ids`, `corners`, `map`, `all`: the first three, or `plan`: detections and map.
         cameras: Cameras to draw; all if None.
         start_s, end_s, every: Times of the first and last step that is shown, in seconds; take every K-th step only.
         only_with_vessels: Leave out steps with no vessel in an image.
         tracks, similarity, threshold: As those of `modsim3d.report`.
-        layers: Names of layers to draw over the image (docs/pictures.md); those of the kind if None.
+        layers: Names of layers to draw over the image or on the map (docs/pictures.md); those of the kind if None.
         look: How vessels and sea look, such as `night,fog:800` or `plain`.
-        crop: Part of the image, x_min, y_min, x_max, y_max in pixels, or `vessels`: where vessels are.
+        crop: Part of the image, x_min, y_min, x_max, y_max in pixels, `vessels`: where vessels are, or `none`: all of
+            it; that of the kind if None.
         width: Width of what is drawn, in pixels.
         format: `mp4`, `gif`, or `png`: a folder of pictures; by the name, else `mp4`, if None.
         speed: Seconds of the run that a second of the film shows.
@@ -116,7 +118,7 @@ def view_frame(
 ) -> Written:
     """Draw one time step of a run as a PNG.
 
-        modsim3d.view_frame("runs/first", 51.0, "moment.png", crop="vessels")
+        modsim3d.view_frame("runs/first", 51.0, "moment.png")
 
     Args:
         run, out: A run or its directory; file to write, by kind and step in the run directory if None.
@@ -150,31 +152,40 @@ def view_map(
     out: StrPath | None = None,
     *,
     cameras: Names | None = None,
+    tracks: StrPath | None = None,
+    similarity: str | None = None,
+    threshold: float | None = None,
+    layers: Names | None = None,
     width: int | None = None,
     overwrite: bool = False,
 ) -> Written:
     """Draw the scene of a run from above, as PNG, SVG or PDF.
 
-        modsim3d.view_map("runs/first", 51.0, "map.svg")
+        modsim3d.view_map("runs/first", 51.0, "map.svg", layers=["vectors", "cpa", "nm"])
 
     Args:
         run, out: A run or its directory; file to write, `map_STEP.png` in the run directory if None.
         step: Step or time, as that of `modsim3d.view_frame`; the last step if None.
-        cameras, width: As those of `modsim3d.view_film`.
+        cameras, tracks, similarity, threshold, layers, width: As those of `modsim3d.view_film`.
         overwrite: Replace a map that is there.
 
     Raises:
         ModsimError: The run or an argument is wrong, matplotlib is missing, or the map cannot be written.
         TypeError: A path is neither text nor a path.
     """
-    run = opened_run(run)
-    chosen = select_cameras(run, cameras)
+    _check_width(width)
+    request, run = _request("map", layers, None, None, None, tracks), opened_run(run)
+    followed, chosen = followed_tracks(tracks, run, similarity, threshold), select_cameras(run, cameras)
     shown = len(times_of(run)) - 1 if step is None else find_step(run, str(step))
     path = out_file(out, run.folder / f"map_{shown:06d}.png")
     check_map(path)
-    _check_width(width)
+    names = [run.scene.cameras[index].name for index in chosen]
     with _claimed(path, run, overwrite):
-        return Written((save_map(BirdsEye(run.scene, run.steps, chosen), shown, path, width or WIDTH_PX),))
+        seen = (frame for frame in run.frames(shown, shown + 1) if frame.camera in names)
+        birds_eye = BirdsEye(run.scene, run.steps, chosen, request.map_layers)
+        bearings = bearings_of(run.scene, seen, followed)
+        save_map(birds_eye, shown, path, width or WIDTH_PX, bearings)
+    return Written((path,), () if followed is None else (followed.sentence(),))
 
 
 def view_sheet(run: StoredRun | StrPath, *, overwrite: bool = False) -> Written:

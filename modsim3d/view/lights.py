@@ -286,14 +286,21 @@ class SeenLight:
     decades: float  # logarithm to base 10 of its light over the faintest that an eye sees
 
 
-def ground_speeds(scene: Scene, step: int) -> Array:
-    """Speeds over ground of the V vessels at a step in m/s, shape (V,); NaN where a neighbouring pose is needed."""
+def ground_velocities(scene: Scene, step: int) -> Array:
+    """Velocities over ground of the V vessels at a step in m/s, shape (V, 2); NaN where a neighbouring pose is
+    needed."""
     first, stop = scene.motion.with_neighbours(np.array([step]))
     poses = scene.poses.poses(first, stop)
     calm_m = poses.positions_m * (1.0, 1.0, 0.0)
-    speeds = np.linalg.norm(velocities(scene.times_s(first, stop), calm_m, poses.present)[step - first], axis=-1)
+    found = velocities(scene.times_s(first, stop), calm_m, poses.present)[step - first, :, :2]
     known = poses.present[step - first] & (poses.present.sum(axis=0) > 1)
-    return np.where(known, speeds, np.nan)
+    return np.where(known[:, None], found, np.nan)
+
+
+def ground_speeds(scene: Scene, step: int) -> Array:
+    """Speeds over ground of the V vessels at a step in m/s, shape (V,); NaN where a neighbouring pose is needed."""
+    speeds: Array = np.linalg.norm(ground_velocities(scene, step), axis=-1)
+    return speeds
 
 
 def lights_towards(sight: Sight, speeds_m_s: Array, extinction_per_m: float = 0.0) -> Iterator[SeenLight]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import shapely
@@ -16,7 +16,11 @@ from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.geometry.kinematics import union_of
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.map_names import MapNames, overlapping
+from modsim3d.view.lights import ground_velocities
+from modsim3d.view.map_names import MapNames
+from modsim3d.view.palette import Colour
+from modsim3d.view.pictures.layers import NO_LAYERS, MapLayers
+from modsim3d.view.pictures.plain import Solids
 from modsim3d.world.bodies import Obstacle, solid_footprint
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.circular import CircularMotion
@@ -25,10 +29,9 @@ from modsim3d.world.vessels import Vessel
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
     from matplotlib.patches import Polygon
-
-# ---- A scene from above ----
 
 MAX_TRACK_POINTS = 1500
 MARGIN = 0.06  # around everything that is shown, as a share of the map
@@ -46,6 +49,7 @@ class BirdsEye:
     scene: Scene
     steps: int
     cameras: tuple[int, ...]
+    layers: MapLayers = NO_LAYERS
 
     @cached_property
     def track_steps(self) -> Indices:
@@ -147,6 +151,8 @@ def ring_step(about_m: float) -> float:
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))
 
 
+VECTOR_S, NM_M = 360.0, 1852.0  # of a speed vector, as on a radar; a nautical mile
+MAX_APPROACHES, MAX_NAMES = 3, 40  # as many approaches are written, and approaches and tracks together
 TRAIL_S = 60.0  # the last part of a track, of this duration, is drawn bold
 TRAIL_POINTS = 12  # names keep off a trail through so many of its points
 RINGS = 5  # the most range rings from a camera to the farthest corner of the map
@@ -156,6 +162,7 @@ CAMERA_NAME_SHARE = 0.06  # how far before a camera its name stands, as a share 
 LAND, SHORE, SOIL = map(palette.css, (palette.LAND, palette.OBSTACLE, palette.SOIL))
 CAMERA, RING = "#c0392b", "#6d7b85"
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
+_HULL = np.array([(-1, -0.3), (0.6, -0.3), (0.6, 0), (1, 0), (0.6, 0), (0.6, 0.3), (-1, 0.3)])  # with the tick ahead
 _NOWHERE = np.full((2, 2), np.nan)
 
 
@@ -167,7 +174,7 @@ class MapSheet:
     birds_eye: BirdsEye
     names: MapNames
     moving: list[Artist] = field(default_factory=list)  # those that differ from step to step, but for the names
-    symbols: dict[Artist, Any] = field(default_factory=dict)  # how some artists are drawn in the key
+    symbols: dict[Artist, Array] = field(default_factory=dict)  # shape of some artists in the key, (n, 2)
     _explained: set[str] = field(default_factory=set)
 
     def once(self, text: str) -> str:
@@ -193,11 +200,29 @@ class MapSheet:
 
 
 @dataclass(frozen=True, eq=False)
+class Bearing:
+    """The bearing of a detection, or of a track with a number, from a camera."""
+
+    at_m: Array  # w1 and w2 of the camera, shape (2,)
+    direction: Array  # horizontal unit vector, shape (2,)
+    colour: Colour
+    track: int | None = None
+
+    @classmethod
+    def of(cls, solids: Solids, box_px: Array, colour: Colour, track: int | None = None) -> Self:
+        """The bearing of the middle of a box's lower edge, shape (4,), in the image of a camera."""
+        poses, at_px = solids.sight.camera_poses, np.array([[(box_px[0] + box_px[2]) / 2, box_px[3]]])
+        (ray,) = solids.intrinsics.unproject(at_px, np.ones(1)) @ poses.camera_R_world[0]
+        return cls(poses.positions_m[0, :2], ray[:2] / max(float(np.hypot(*ray[:2])), 1e-12), colour, track)
+
+
+@dataclass(frozen=True, eq=False)
 class Moment:
     """A step of a run, with the poses and rotations of all vessels then."""
 
     birds_eye: BirdsEye
     step: int
+    bearings: Sequence[Bearing] = ()
 
     @cached_property
     def poses(self) -> Poses:
@@ -224,11 +249,9 @@ class VesselMark:
 
     def __init__(self, sheet: MapSheet, index: int) -> None:
         """Draw the whole track, and put the rest where `show` finds it."""
-        from modsim3d.view.map_key import ArrowSymbol, HullSymbol  # it needs matplotlib
-
         birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
         self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]
-        own, colour = index in scene.own_ships, palette.unit_rgb(palette.vessel_colour(index))
+        own, colour = index in scene.own_ships, palette.unit_rgb(palette.vessel_colour(index, scene.own_ships))
         weight = 2.2 if own else 0.7
         self._track = birds_eye.tracks_m[:, index]
         sheet.line(self._track, color=colour, lw=0.8, alpha=0.4, zorder=4, label=sheet.once("track in the run"))
@@ -242,12 +265,12 @@ class VesselMark:
             label = sheet.once("own ship" if own else "small vessel, with its heading")
             self._arrow = sheet.area(_NOWHERE, moves=True, **filled, lw=0.7 * weight, zorder=6, label=label)
             self._hull = sheet.area(_NOWHERE, moves=True, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
-            sheet.symbols[self._arrow] = ArrowSymbol(_ARROW)
+            sheet.symbols[self._arrow] = _ARROW
         else:
             label = sheet.once("own ship, with a tick ahead" if own else "vessel at its size, with a tick ahead")
             self._bow = sheet.line(_NOWHERE, moves=True, color="black", lw=max(1.0, 0.6 * weight), zorder=6)
             self._hull = sheet.area(_NOWHERE, moves=True, **filled, lw=weight, zorder=7, label=label)
-            sheet.symbols[self._hull] = HullSymbol()
+            sheet.symbols[self._hull] = _HULL
         self._name = sheet.names.add(self._vessel.name, index, fontsize=7.5, weight="bold" if own else "normal")
 
     def show(self, moment: Moment) -> None:
@@ -292,7 +315,7 @@ class CameraMark:
         self._birds_eye, self._camera = sheet.birds_eye, sheet.birds_eye.scene.cameras[index]
         self._sheet, self._index = sheet, index
         first = index == self._birds_eye.cameras[0]
-        self.rings = RangeRings(sheet, moves=moves) if first else None
+        self._rings = RangeRings(sheet, moves=moves) if first else None
         label = sheet.once("field of view")
         self._seen = sheet.area(_NOWHERE, moves=moves, facecolor=CAMERA, alpha=0.09, lw=0, zorder=1, label=label)
         edge = {"color": CAMERA, "lw": 0.7, "alpha": 0.8, "zorder": 4}
@@ -314,8 +337,8 @@ class CameraMark:
         at, view = view_of(self._birds_eye.scene, self._camera, moment.step)
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
         farthest = float(np.linalg.norm(corners - at, axis=1).max())
-        if self.rings is not None:
-            self.rings.show(at, farthest)
+        if self._rings is not None:
+            self._rings.show(at, farthest)
         edge = at + 2 * farthest * view
         self._seen.set_xy(np.concatenate([at[None], edge]))
         for line, end in zip(self._edges, (edge[0], edge[-1]), strict=True):
@@ -335,39 +358,107 @@ class RangeRings:
     def __init__(self, sheet: MapSheet, *, moves: bool) -> None:
         """Put as many rings as there may be where `show` finds them."""
         self._sheet, self._extent_m = sheet, sheet.birds_eye.extent_m
-        self._rings, self._places = [], [_NOWHERE] * RINGS
-        for _ in range(RINGS):
-            label = sheet.once("range from camera")
-            ring = {"color": RING, "lw": 0.5, "ls": (0, (4, 4)), "zorder": 1.5, "label": label}
-            text: dict[str, Any] = {"fontsize": RADIUS_PT, "color": RING, "ha": "center", "va": "bottom", "zorder": 5}
-            self._rings.append((sheet.line(_NOWHERE, moves=moves, **ring), sheet.axes.text(0, 0, "", **text)))
-            sheet.moving.append(self._rings[-1][1])  # it keeps off names, which move
+        ring = {"color": RING, "lw": 0.5, "ls": (0, (4, 4)), "zorder": 1.5}
+        labels = [sheet.once("range from camera") for _ in range(RINGS)]
+        self._rings = [sheet.line(_NOWHERE, moves=moves, label=label, **ring) for label in labels]
+        self._names = [sheet.names.add("", fontsize=RADIUS_PT, color=RING) for _ in range(RINGS)]
 
     def show(self, at: Array, farthest_m: float) -> None:
-        """Draw the rings about a place, out to a distance."""
+        """Draw the rings about a place, out to a distance, each with its radius at its lowest place."""
         x0, x1, y0, y1 = self._extent_m
         middle, room = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 - 0.04 * (x1 - x0)
-        step = ring_step(farthest_m / RINGS)
-        radii = np.arange(step, farthest_m, step).tolist()
+        layers = self._sheet.birds_eye.layers
+        unit, metres = ("nm", NM_M) if layers.nm else ("cables", NM_M / 10) if layers.cables else ("m", 1.0)
+        step = ring_step(farthest_m / metres / RINGS)
+        radii = np.arange(step, farthest_m / metres, step).tolist()
         angles = np.linspace(0, 2 * np.pi, 361)
-        unit = np.column_stack([np.cos(angles), np.sin(angles)])
-        for i, (line, text) in enumerate(self._rings):
-            circle = at + radii[i] * unit if i < len(radii) else _NOWHERE
+        around = np.column_stack([np.cos(angles), np.sin(angles)])
+        for i, (line, name) in enumerate(zip(self._rings, self._names, strict=True)):
+            circle = at + radii[i] * metres * around if i < len(radii) else _NOWHERE
             line.set_data(*circle.T)
             free = circle[(np.abs(circle - middle) < room).all(axis=1)]
-            text.set_text(f"{radii[i]:g} m" if len(free) else "")
-            self._places[i] = free[np.argsort(free[:, 1], kind="stable")]
+            name.place_m = None
+            if len(free):
+                name.show(f"{radii[i]:g} {unit}", free[np.argmin(free[:, 1])])
 
-    def put_radii(self) -> None:
-        """Write the radius of each ring at its lowest place where none of the names lies, which are placed first."""
-        names, height = self._sheet.names, RADIUS_PT * self._sheet.axes.figure.dpi / 72
-        for i, (_, text) in enumerate(self._rings):
-            if text.get_text():
-                half = np.array([0.36 * len(text.get_text()) * height, 0.0])
-                at = self._sheet.axes.transData.transform(self._places[i])
-                boxes = np.concatenate([at - half, at + half + [0, 1.2 * height]], axis=1)
-                free = np.flatnonzero(~overlapping(boxes, names.taken_px))
-                text.set_position(tuple(self._places[i][free[0] if len(free) else 0].tolist()))
+
+class PlanMarks:
+    """Speed vectors, closest points of approach, and bearings of detections and tracks."""
+
+    def __init__(self, sheet: MapSheet) -> None:
+        """Put the lines where `show` finds them."""
+        self._sheet, layers = sheet, sheet.birds_eye.layers
+        dotted = (0, (2, 2))
+        self._vectors = self._lines(layers.vectors, "speed vector, 6 min", lw=1.2, zorder=5.5)
+        self._approaches = self._lines(
+            layers.cpa and bool(sheet.birds_eye.scene.own_ships),
+            "closest approach within 6 min",
+            lw=1.6,
+            color="black",
+            zorder=8.4,
+        )
+        self._detections = self._lines(layers.detections, "bearing of a detection", lw=0.8, ls=dotted, zorder=4.5)
+        self._tracks = self._lines(layers.tracks, "bearing of a track", lw=1.4, zorder=4.6, alpha=0.6)
+        self._names = [sheet.names.add("", fontsize=7) for _ in range(MAX_NAMES * (layers.cpa or layers.tracks))]
+
+    def _lines(self, wanted: bool, label: str, **look: Any) -> LineCollection | None:
+        from matplotlib.collections import LineCollection
+
+        if not wanted:
+            return None
+        lines = LineCollection([_NOWHERE], label=label, **look)
+        self._sheet.axes.add_collection(lines, autolim=False)
+        self._sheet.moving.append(lines)
+        return lines
+
+    def show(self, moment: Moment) -> None:
+        """Move the lines to a moment."""
+        scene, names = self._sheet.birds_eye.scene, iter(self._names)
+        velocities_m_s, present = (
+            ground_velocities(scene, moment.step),
+            np.flatnonzero(moment.poses.present[0]).tolist(),
+        )
+        here = moment.poses.positions_m[0, :, :2]
+        ends = np.stack([here, here + VECTOR_S * velocities_m_s], axis=1)
+        colours = [palette.vessel_colour(index, scene.own_ships) for index in present]
+        _put(self._vectors, [ends[index] for index in present], colours)
+        own = [index for index in scene.own_ships if index in present][:1]
+        pairs = [(*own, other) for other in present if other not in own] if own and self._approaches else []
+        found = [(*_approach(here[[*pair]], velocities_m_s[[*pair]]), pair[1]) for pair in pairs]
+        nearest = sorted((each for each in found if 0 < each[1] <= VECTOR_S), key=lambda each: each[0])[:MAX_APPROACHES]
+        _put(self._approaches, [line for _, _, line, _ in nearest])
+        for distance_m, after_s, line, other in nearest:
+            name = f"{scene.vessel_names[other]}: CPA {distance_m:.0f} m in {after_s / 60:.1f} min"
+            next(names).show(name, line.mean(axis=0))
+        x0, x1, y0, y1 = self._sheet.birds_eye.extent_m
+        reach = np.linspace(0, np.hypot(x1 - x0, y1 - y0), 200)[:, None]
+        for lines, of_tracks in ((self._detections, False), (self._tracks, True)):
+            some = [each for each in moment.bearings if (each.track is not None) == of_tracks]
+            rays = [each.at_m + reach * each.direction for each in some]
+            _put(lines, [ray[[0, -1]] for ray in rays], [each.colour for each in some])
+            for bearing, ray in zip(some, rays, strict=True) if of_tracks and lines else ():
+                inside = ray[((ray > (x0, y0)) & (ray < (x1, y1))).all(axis=1)]
+                if len(inside) and (name_there := next(names, None)):
+                    name_there.show(f"#{bearing.track}", inside[int(0.95 * len(inside))])
+        for unused in names:
+            unused.place_m = None
+
+
+def _put(lines: LineCollection | None, segments: list[Array], colours: Sequence[Colour] = ()) -> None:
+    """Put segments, shape (2, 2) each, and their colours into lines that are shown."""
+    if lines is not None:
+        lines.set_segments(segments or [_NOWHERE])
+        if colours:
+            lines.set_color([palette.unit_rgb(colour) for colour in colours])
+
+
+def _approach(here_m: Array, velocities_m_s: Array) -> tuple[float, float, Array]:
+    """Least distance of own ship and another vessel on their courses, in metres, after how many seconds, and where both
+    are then, shape (2, 2)."""
+    apart, closing = here_m[1] - here_m[0], velocities_m_s[1] - velocities_m_s[0]
+    after_s = -float(apart @ closing) / max(float(closing @ closing), 1e-12)
+    then = here_m + after_s * velocities_m_s
+    return float(np.hypot(*(then[1] - then[0]))), after_s, then
 
 
 def draw_circles(sheet: MapSheet) -> None:

@@ -51,6 +51,13 @@ class MapName:
             self.put(None)
         return self._around_px
 
+    def show(self, text: str, place_m: Array) -> None:
+        """Name a place, shape (2,), with another text."""
+        if text != self.note.get_text():
+            self.note.set_text(text)
+            self._around_px = None
+        self.place_m = place_m
+
     def put(self, middle_px: Array | None) -> None:
         """Put the middle of the name at a place on the picture, or hide the name."""
         self.middle_px = middle_px
@@ -70,7 +77,6 @@ class MapNames:
     ticks_m: dict[int, Array] = field(default_factory=dict)  # heading tick of each vessel that has one, shape (2, 2)
     trails_m: dict[int, Array] = field(default_factory=dict)  # the last part of each vessel's track, shape (n, 2)
     dots_m: dict[int, Array] = field(default_factory=dict)  # the cameras, shape (2,)
-    taken_px: Array = field(default_factory=lambda: np.empty((0, 4)))  # boxes of the names placed, shape (k, 4)
     leaders: LineCollection = field(init=False)  # the lines from names to what they name
 
     def __post_init__(self) -> None:
@@ -114,7 +120,6 @@ class MapNames:
                 later.append(name)
         lines = [line for name in later for line in page.put_away(name)]
         self.leaders.set_segments([line * 72 / self.axes.figure.dpi for line in lines])
-        self.taken_px = page.taken
 
 
 @dataclass(eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,7 +54,12 @@ class Map:
         size_in = WIDTH_IN, (height_px or map_height_px(birds_eye, width_px)) / dpi
         self.figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
         (x0, x1, y0, y1), axes = birds_eye.extent_m, self.figure.add_subplot()
-        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", facecolor=SEA, xlabel="w1 (m)", ylabel="w2 (m)")
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", facecolor=SEA)
+        east, north = ("w1, east", "w2, north") if birds_eye.scene.origin else ("w1", "w2")
+        axes.set(xlabel=f"{east} (m)", ylabel=f"{north} (m)")
+        if birds_eye.scene.origin:
+            tip: dict[str, Any] = {"xy": (0.97, 0.97), "xytext": (0.97, 0.9), "xycoords": "axes fraction"}
+            axes.annotate("N", **tip, ha="center", va="top", arrowprops={"arrowstyle": "-|>", "color": "black"})
         axes.set_autoscale_on(False)
         axes.tick_params(labelsize=8)
         axes.set_title(birds_eye.scene.name, fontsize=11)
@@ -61,12 +67,13 @@ class Map:
         self.sheet.moving.append(self.sheet.names.leaders)
         map_marks.draw_circles(self.sheet)
         vessels, cameras = map_marks.vessel_marks(self.sheet), map_marks.camera_marks(self.sheet)
-        self._marks: list[map_marks.VesselMark | map_marks.CameraMark] = [*vessels, *cameras]
+        marks = map_marks.PlanMarks(self.sheet)
+        self._marks: list[map_marks.VesselMark | map_marks.CameraMark | map_marks.PlanMarks]
+        self._marks = [*vessels, *cameras, marks]
         map_marks.draw_obstacles(self.sheet)
-        handles = axes.get_legend_handles_labels()[0]
+        handles = [self._in_key(artist) for artist in axes.get_legend_handles_labels()[0]]
         place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}
-        symbols = self.sheet.symbols
-        self.figure.legend(handles=handles, handler_map=symbols, fontsize=8, frameon=False, **place)
+        self.figure.legend(handles=handles, fontsize=8, frameon=False, **place)
         layout = self.figure.get_layout_engine()
         assert layout is not None
         for _ in range(2):  # the places of axes and legend are found from each other's
@@ -74,25 +81,38 @@ class Map:
             axes.apply_aspect()
         self.figure.set_layout_engine("none")
 
-    def show(self, step: int) -> None:
-        """Move everything to where it is at a step."""
+    def _in_key(self, artist: Any) -> Any:
+        """Symbol of an artist in the key: hulls and arrowheads have a symbol of their shape."""
+        from matplotlib.lines import Line2D
+
+        if artist not in self.sheet.symbols:
+            return artist
+        look = {"mfc": artist.get_facecolor(), "mec": artist.get_edgecolor(), "mew": artist.get_linewidth()}
+        shape = self.sheet.symbols[artist].tolist()
+        return Line2D([], [], ls="", marker=shape, ms=11 + len(shape), label=artist.get_label(), **look)
+
+    def show(self, step: int, bearings: Sequence[map_marks.Bearing] = ()) -> None:
+        """Move everything to where it is at a step, with bearings of detections and tracks."""
         scene = self.sheet.birds_eye.scene
         (time,) = scene.timestamps(step, step + 1)
         self.sheet.axes.set_title(f"{scene.name}    {time} s    step {step}", fontsize=11)
         self.sheet.names.clear()
-        moment = map_marks.Moment(self.sheet.birds_eye, step)
+        moment = map_marks.Moment(self.sheet.birds_eye, step, bearings)
         for mark in self._marks:
             mark.show(moment)
         self.sheet.names.place()
-        for mark in self._marks:
-            if isinstance(mark, map_marks.CameraMark) and mark.rings is not None:
-                mark.rings.put_radii()
 
 
-def map_figure(birds_eye: map_marks.BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
+def map_figure(
+    birds_eye: map_marks.BirdsEye,
+    step: int,
+    width_px: int,
+    height_px: int | None = None,
+    bearings: Sequence[map_marks.Bearing] = (),
+) -> Figure:
     """The map at a step, as high as it needs if no height is given."""
     drawn = Map(birds_eye, width_px, height_px)
-    drawn.show(step)
+    drawn.show(step, bearings)
     return drawn.figure
 
 
@@ -109,7 +129,9 @@ def is_high(birds_eye: map_marks.BirdsEye) -> bool:
     return y1 - y0 > x1 - x0
 
 
-def save_map(birds_eye: map_marks.BirdsEye, step: int, path: Path, width_px: int) -> Path:
+def save_map(
+    birds_eye: map_marks.BirdsEye, step: int, path: Path, width_px: int, bearings: Sequence[map_marks.Bearing] = ()
+) -> Path:
     """Write the map at a step in the format of the path's ending; the same map gives the same bytes."""
     check_matplotlib()
     from matplotlib import rc_context
@@ -117,7 +139,7 @@ def save_map(birds_eye: map_marks.BirdsEye, step: int, path: Path, width_px: int
     ending = path.suffix.lower()
     metadata: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with rc_context({"svg.hashsalt": "modsim3d"}), put_in_place(path) as partial:
-        figure = map_figure(birds_eye, step, width_px)
+        figure = map_figure(birds_eye, step, width_px, bearings=bearings)
         figure.savefig(partial, format=ending[1:], metadata=metadata[ending], dpi=figure.dpi)
     return path
 

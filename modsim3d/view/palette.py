@@ -1,20 +1,18 @@
 """Colours that colour-blind people can tell apart: those of Okabe & Ito (2008), "Color Universal Design".
 The vermilion among them is kept for what went wrong, so that no vessel has it; its lines differ too."""
 
+from collections.abc import Container
+
 Colour = tuple[int, int, int]
 Colours = tuple[Colour, ...]
 
 VESSELS: Colours = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167), (0, 114, 178))
 ALARM: Colour = (213, 94, 0)
+OWN: Colour = (60, 40, 170)  # of vessels that carry a camera, and of no others
 SEA: Colour = (38, 52, 64)
 SKY: Colour = (168, 186, 198)
 HORIZON: Colour = (226, 234, 238)
 TRUTH: Colour = (225, 225, 225)
-TRACKS: Colours = (
-    *((119, 170, 221), (238, 221, 136), (68, 187, 153), (255, 170, 187)),
-    *((153, 221, 255), (187, 204, 51), (170, 170, 0)),
-)
-"""Of tracks by number: the light scheme of Tol (2021), "Colour Schemes", without orange, which is near ALARM."""
 OBSTACLE: Colour = (141, 133, 119)  # land, piers and all else that is no vessel, in pictures, on pages and on maps
 LAND: Colour = (207, 200, 186)
 SOIL: Colour = (92, 86, 75)
@@ -29,16 +27,14 @@ BLACK: Colour = (0, 0, 0)
 TINT, SHADE = 0.5, 0.4  # share of white or black in the second and third round of vessel colours
 
 
-def vessel_colour(index: int) -> Colour:
-    """The colour of a vessel, by its index in the scene: six hues, then lighter, then darker ones, then again."""
+def vessel_colour(index: int, own_ships: Container[int] = ()) -> Colour:
+    """The colour of a vessel, by its index in the scene and those of own ships, which have one of their own: six hues,
+    then lighter, then darker ones, then again."""
+    if index in own_ships:
+        return OWN
     turn, hue = divmod(index, len(VESSELS))
     colour = VESSELS[hue]
     return (colour, mixed(colour, WHITE, TINT), mixed(colour, BLACK, SHADE))[turn % 3]
-
-
-def track_colour(number: int) -> Colour:
-    """The colour of a track, by the number that its tracker gave it."""
-    return TRACKS[number % len(TRACKS)]
 
 
 def obstacle_colour(index: int) -> Colour:
@@ -46,9 +42,9 @@ def obstacle_colour(index: int) -> Colour:
     return OBSTACLES[index % len(OBSTACLES)]
 
 
-def owner_colour(occluder: int, vessels: int) -> Colour:
+def owner_colour(occluder: int, vessels: int, own_ships: Container[int] = ()) -> Colour:
     """The colour of a vessel, or the colour of an obstacle for an index beyond the vessels."""
-    return vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)
+    return vessel_colour(occluder, own_ships) if occluder < vessels else obstacle_colour(occluder - vessels)
 
 
 def state_colours(states: int) -> list[Colour]:

@@ -74,7 +74,7 @@ COLOURS = {  # of the lines of the plots, by what they count
     "wrong_class": palette.VESSELS[4],
     "below_half_iou": palette.VESSELS[3],
     "off_vessel": palette.VESSELS[2],
-    TRACKS: palette.TRACKS[2],
+    TRACKS: palette.VESSELS[5],
     FALSE_TRACKS: palette.ALARM,
 }
 TEXT = (0.09, 0.07)  # width and height of a text below a box, as shares of the image
@@ -137,8 +137,9 @@ class BoxRecorder:
         """Log the boxes of the detections, the false ones again with what they say, and what is wrong with them."""
         rows, columns, outcome = self.rows, self._columns, self.rows.outcomes[drawn]
         false, boxes_px, tags = having(outcome, Outcome.FALSE_POSITIVE), columns.drawn_px[drawn], columns.tags[drawn]
+        own = self.log.scene.own_ships
         found = zip(rows.detection_vessel[drawn].tolist(), false.tolist(), strict=True)
-        colours = [palette.ALARM if is_false else palette.vessel_colour(source) for source, is_false in found]
+        colours = [palette.ALARM if is_false else palette.vessel_colour(source, own) for source, is_false in found]
         self._boxes(camera, "detections", boxes_px, colours, tags)
         self._named(camera, FALSE, boxes_px[false], [tags[i] for i in np.flatnonzero(false)])
         lines = columns.tethers[drawn][having(outcome, Outcome.OFF_VESSEL)]
@@ -149,12 +150,12 @@ class BoxRecorder:
     def _tracks(self, followed: FollowedTracks, frame: int, camera: str) -> None:
         """Log the tracks in a frame, by its number, with the names of the vessels that they follow, and how many."""
         rows, names = followed.rows_of(frame), (*self.log.scene.vessel_names, "nothing")
+        own = self.log.scene.own_ships
         numbers, vessels = followed.tracks.track[rows].tolist(), followed.vessel[rows].tolist()
-        shown = list(zip(numbers, vessels, strict=True))
-        colours = [palette.ALARM if vessel == NOBODY else palette.track_colour(number) for number, vessel in shown]
-        tags = [f"#{number} on {names[vessel]}" for number, vessel in shown]
+        colours = [palette.ALARM if vessel == NOBODY else palette.vessel_colour(vessel, own) for vessel in vessels]
+        tags = [f"#{number} on {names[vessel]}" for number, vessel in zip(numbers, vessels, strict=True)]
         self._boxes(camera, TRACKS, followed.tracks.boxes_px[rows], colours, tags)
-        self._count(camera, TRACKS, len(shown))
+        self._count(camera, TRACKS, len(numbers))
         self._count(camera, FALSE_TRACKS, vessels.count(NOBODY))
 
     def _boxes(
@@ -319,7 +320,7 @@ class Space:
         self._present[index] = bool(present[-1])
 
     def _body(self, index: int) -> list[Any]:
-        vessel, colour = self.log.scene.vessels[index], palette.vessel_colour(index)
+        vessel, colour = self.log.scene.vessels[index], palette.vessel_colour(index, self.log.scene.own_ships)
         length, beam, height = vessel.extents_m
         box = self.log.sdk.Boxes3D(
             half_sizes=[[length / 2, beam / 2, height / 2]],

@@ -261,7 +261,7 @@ def lit_faces(solids: Solids) -> LitFaces:
     own, names = solids.sight.carriers[0], [obstacle.name for obstacle in solids.sight.obstacles]
     colours = []
     for occluder in solids.occluders.tolist():
-        colour = occluder_colour(occluder, vessels)
+        colour = occluder_colour(occluder, solids)
         if occluder >= vessels and LAND.search(names[occluder - vessels].lower()):
             colour = palette.mixed(colour, GREEN, 0.6)
         colours.append(palette.mixed(colour, DECK, 0.75) if occluder < vessels and own[occluder] else colour)

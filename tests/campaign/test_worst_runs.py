@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 
 from modsim3d import ModsimError, load_scene, run_scene
-from modsim3d.campaign import reproduce, worst_film
+from modsim3d.campaign import reproduce
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
@@ -23,10 +23,11 @@ from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.row import row_of, rules_of
-from modsim3d.campaign.work.worst_moment import Mistakes
-from modsim3d.campaign.worst_film import in_words, moment_picture
 from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
+from modsim3d.tracking import worst_film
+from modsim3d.tracking.worst_film import WIDTH_PX, Story, moment_pictures
+from modsim3d.view.pictures.canvas import Label
 from tests.campaign.campaigns import interrupt, run_campaign_file
 from tests.cli.conftest import Modsim3d
 from tests.run_folders import run_files
@@ -117,22 +118,32 @@ def test_a_run_made_again_has_the_row_of_the_campaign_and_its_picture_shows_the_
     made = remade(campaign.folder, worst.number)
     row, stored = row_of(worst.number, made, campaign.folder.keys.score), campaign.table.to_pylist()[worst.number]
     assert {name: stored[name] for name in row} == row and row["worst_s"] == worst.moment_s is not None
-    pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
-    assert np.asarray(pictures[0]).shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000
-    assert not np.array_equal(*map(np.asarray, pictures))
-    none = replace(made, tracks=made.tracks.take(np.empty(0, dtype=np.int64)))
-    assert moment_picture(none, worst.moment_s, 640, rules) != pictures[0]
+    before, after = moment_pictures(made.rows, made.tracks, worst.moment_s, rules)
+    assert before.size == after.size and before.width == WIDTH_PX and before != after
+    assert len(encoded(after, optimize=True)) < 300_000
+    none = made.tracks.take(np.empty(0, dtype=np.int64))
+    assert after not in moment_pictures(made.rows, none, worst.moment_s, rules)
     with pytest.raises(ModsimError, match=r"has runs 0 to 15 \(got 16\)"):
         remade(campaign.folder, 16)
 
 
-def test_the_head_of_the_picture_says_what_is_wrong() -> None:
+def test_of_a_switch_a_lost_vessel_and_a_false_track_the_switch_is_shown_then_the_vessel_then_the_track() -> None:
     truth = [(step, vessel, box(100 * vessel)) for step in range(4) for vessel in (0, 1)]
-    tracks = [(step, 8 if step < 3 else 9, box()) for step in range(4)] + [(3, 20, box(400))]
-    scored = hand_made(truth, tracks, 4)
-    names = scored.rows.scene.vessel_names
-    wanted = f"1 vessel missed, 1 track on nothing, switch of {names[0]} from #8 to #9"
-    assert in_words(Mistakes.of(scored).in_frame(3), names) == wanted
+    false, lost = [(3, 20, box(400))], [(step, 7, box(100)) for step in (0, 1)]
+    switch, stays = ([(step, number if step == 3 else 8, box()) for step in range(4)] for number in (9, 8))
+    shown = []
+    for rows, tracks in ((truth, switch + false + lost), (truth, stays + false + lost), ([], false)):
+        story = Story.of(hand_made(rows, tracks, 4), 3.0)
+        close_up = story.close_up([story.before, story.lost])
+        shown.append((story.before, story.lost, [*close_up.captions.values()], sorted(close_up.tracks)))
+        labels = [Label((0, 0, 1, 1), f"#{number}", (0, 0, 0)) for number in (7, 8, 9, 20)]
+        assert [label.text for label in labels if close_up.wanted(label)] == [f"#{each}" for each in shown[-1][-1]]
+    a, b = story.scored.rows.scene.vessel_names[:2]
+    assert shown == [
+        (2, 3, [f"{a}: track #8", f"{a}: track #9"], [8, 9]),
+        (1, 3, [f"{b}: track #7", f"{b}: no track"], [7]),
+        (3, 3, ["track #20 on nothing"], [20]),
+    ]
 
 
 def test_the_command_makes_the_run_that_the_options_of_run_make(campaign, again, modsim3d, tmp_path):

@@ -88,7 +88,7 @@ def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(b
 
 
 def test_pictures_of_campaigns_are_plain_where_a_library_has_no_driver() -> None:
-    script = "from modsim3d.campaign.worst_film import best_style; print(best_style()[0].shaded)"
+    script = "from modsim3d.tracking.worst_film import best_style; print(best_style()[0].shaded)"
     environment = {**os.environ, "MODSIM3D_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"}
     said = subprocess.check_output([sys.executable, "-c", script], env=environment, text=True, timeout=120)
     assert said == "False\n"

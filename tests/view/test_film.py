@@ -15,7 +15,8 @@ from PIL import Image
 from modsim3d import load_scene, open_run, run_scene
 from modsim3d.runs.selection import select
 from modsim3d.view import palette
-from modsim3d.view.films.plan import MIN_RATE, FilmLayout, Timetable, crop_to_vessels
+from modsim3d.view.films.plan import KINDS, MIN_RATE, FilmLayout, Timetable, crop_to_vessels
+from modsim3d.view.films.request import PictureRequest
 from modsim3d.view.pictures import id_buffer
 from tests.command_line import call
 from tests.scenes import camera_keys, crossing
@@ -62,7 +63,7 @@ def test_mp4_plays_in_every_browser(monkeypatch, run, tmp_path, width):
 
 
 def test_colours_survive_the_film(monkeypatch, run, tmp_path):
-    options = ("--kind", "ids", "--width", 960)
+    options = ("--kind", "ids", "--width", 960, "--crop", "none")
     assert view(monkeypatch, "film", run, *options, "--end", 1, "--out", tmp_path / "a.mp4") == 0
     assert view(monkeypatch, "frame", run, 0, *options, "--out", tmp_path / "a.png") == 0
     stream, pictures = probe(tmp_path / "a.mp4")
@@ -86,7 +87,7 @@ def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, 
 
 
 def test_png_frames_are_the_single_pictures(monkeypatch, run, tmp_path):
-    options = ("--kind", "detections", "--width", 320)
+    options = ("--kind", "detections", "--width", 320, "--crop", "none")
     assert view(monkeypatch, "film", run, *options, "--format", "png", "--every", 5, "--out", tmp_path / "film") == 0
     names = sorted(path.name for path in (tmp_path / "film").iterdir())
     assert names == [f"frame_{step:06d}.png" for step in (0, 5, 10)]
@@ -136,14 +137,14 @@ def test_a_crop_shows_the_same_pixels_larger(monkeypatch, run, tmp_path):
     assert view(monkeypatch, *frame, 800, "--crop", "200,150,600,450", "--out", tmp_path / "crop.png") == 0
     assert view(monkeypatch, *frame, 1600, "--out", tmp_path / "all.png") == 0
     part, whole = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in ("crop", "all"))
-    head = [FilmLayout(width, 1, (), ()).head_px for width in (800, 1600)]
+    head = [FilmLayout(width, 1, (1.0,), (), insets=width == 800).head_px for width in (800, 1600)]
     assert np.abs(part[head[0] : head[0] + 600] - whole[head[1] + 300 : head[1] + 900, 400:1200]).mean() < 1.0
 
 
 def test_titles_of_several_panels_stand_above_them_and_cover_nothing():
     layout = FilmLayout(400, 2, (2.0, 2.0, 2.0), ())
     panels = [Image.new("RGB", size, (1, 2, 3)) for size in layout.panel_sizes]
-    sheet = np.asarray(layout.compose("head", ["a title that is far too long for a panel of this width"] * 3, panels))
+    sheet = np.asarray(layout.compose(["head"], ["a title that is far too long for a panel of this width"] * 3, panels))
     covered = (sheet == (1, 2, 3)).all(axis=2)
     assert covered.sum() == sum(width * height for width, height in layout.panel_sizes)
     above = sheet[layout.head_px : layout.head_px + layout.title_px]
@@ -155,10 +156,13 @@ def test_crop_to_vessels_keeps_every_box_in_sight(run):
     chosen = select(open_run(run), (0,))
     ((x0, y0, x1, y1),) = crop_to_vessels(chosen)
     assert 0 <= x0 < x1 <= 800 and 0 <= y0 < y1 <= 600
-    assert 4 / 3 - 1e-9 <= (x1 - x0) / (y1 - y0) <= 8 / 3 + 1e-9
+    assert 4 / 3 - 1e-9 <= (x1 - x0) / (y1 - y0) <= 3.2 + 1e-9
     for (frame,) in (of_step.frames for of_step in chosen.step_frames()):
         for box in frame.truth.full_boxes_px:
             assert x0 <= box[0] and y0 <= box[1] and box[2] <= x1 + 1e-9 and box[3] <= y1 + 1e-9
+    cropped = {kind for kind in (*KINDS, "all") if PictureRequest(kind).plan(chosen).crops_px == ((x0, y0, x1, y1),)}
+    assert cropped == {"detections", "ids", "all"}
+    assert not any(PictureRequest(kind, crop="none").plan(chosen).crops_px for kind in cropped)
 
 
 def test_the_contact_sheet_can_be_drawn_again_and_a_damaged_table_is_one_error(monkeypatch, capsys, run, tmp_path):

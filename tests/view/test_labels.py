@@ -49,6 +49,20 @@ def test_a_label_alone_stands_on_its_box_and_one_of_a_box_outside_the_picture_is
     assert drawn_plates([[-90.0, 0.0, -10.0, 50.0], [0.0, 900.0, 50.0, 950.0]], 1280, 853) == []
 
 
+def test_labels_of_vessels_keep_their_places_whichever_is_most_confident_and_whatever_the_digits():
+    boats = {name: (40.0 + 30 * i, 100.0, 65.0 + 30 * i, 120.0) for i, name in enumerate("abcd")}
+    places = []
+    for texts in (
+        ("boat 0.61", "boat 0.99", "boat 0.70", "boat 0.58"),
+        ("boat 0.71", "boat 0.51", "boat 0.44", "boat 0.93"),
+    ):
+        labels = [Label(box, text, ORANGE, vessel=name) for (name, box), text in zip(boats.items(), texts, strict=True)]
+        found = drawn(sorted(labels, key=lambda label: label.text), (320, 200), [*boats.values()])
+        places.append({text: plate[:2] for text, plate in found})
+        places[-1] = [places[-1][text] for text in texts]
+    assert places[0] == places[1]
+
+
 def test_places_never_lie_on_taken_ones():
     places = np.array([[10.0, 0.0, 20.0, 10.0], [9.0, 9.0, 12.0, 12.0]])
     np.testing.assert_array_equal(intersections(places[:, None], np.array([[0.0, 0.0, 10.0, 10.0]])), [[0.0], [1.0]])

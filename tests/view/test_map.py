@@ -14,14 +14,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from modsim3d import simulate_frames
 from modsim3d.cli import main
+from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.renderer import MapFilmRenderer
-from modsim3d.view.map_marks import RINGS, BirdsEye, RangeRings, footprint, hull_m, ring_step, view_of
+from modsim3d.view.map_marks import (
+    RINGS,
+    Bearing,
+    BirdsEye,
+    _approach,
+    footprint,
+    hull_m,
+    ring_step,
+    view_of,
+)
 from modsim3d.view.map_picture import Map, map_figure, map_height_px, map_picture
+from modsim3d.view.pictures.layers import PLAN, MapLayers
+from modsim3d.view.pictures.plain import Solids
 from tests.scenes import INTRINSICS, crossing
 from tests.view.test_film import view
 
@@ -177,22 +190,6 @@ def test_no_name_lies_on_a_camera(scene):
         assert not any(box.intersects(dot) for box in boxes.values())
 
 
-def test_radii_keep_off_names(crowd):
-    rings, names, taken = RangeRings(crowd.sheet, moves=False), crowd.sheet.names, crowd.sheet.names.taken_px
-    texts = crowd.sheet.axes.texts[-RINGS:]
-    rings.show(np.array([1000.0, 0.0]), 1000.0)
-    names.taken_px = np.empty((0, 4))
-    rings.put_radii()
-    shown = [text for text in texts if text.get_text()]
-    assert shown
-    crowd.figure.draw_without_rendering()
-    names.taken_px = np.array([text.get_window_extent().extents for text in shown])
-    rings.put_radii()
-    crowd.figure.draw_without_rendering()
-    assert not any(extent(text).intersection(shapely.box(*under)).area for text in shown for under in names.taken_px)
-    names.taken_px = taken
-
-
 def test_far_cameras_and_land_do_not_make_the_map_larger_and_a_camera_near_the_traffic_is_on_it(scene):
     usual = BirdsEye(scene, scene.steps, (0,)).extent_m
     assert usual[0] < 0 < usual[1] and usual[2] < -60 and usual[3] > 60  # the camera ashore, and the bridge
@@ -249,7 +246,7 @@ def read(path):
 
 
 def picture(monkeypatch, run, out, *arguments):
-    assert view(monkeypatch, "frame", run, "5", "--width", 400, "--out", out, *arguments) == 0
+    assert view(monkeypatch, "frame", run, "5", "--width", 400, "--crop", "none", "--out", out, *arguments) == 0
     return np.asarray(read(out)).astype(int)
 
 
@@ -277,33 +274,70 @@ def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, ca
     assert "libosmesa6" in said and "--look plain" in said
 
 
-ROUNDING = 2  # units of a colour: what stays above what moves is blended by its own 8 bits
-
-
 @pytest.fixture(scope="module", params=["simulation_1", "strait", "simulation_2"])
 def filmed(request):
     """A camera ashore, one of two on board, and all on board."""
     scene = load_scene(request.param, steps=120)
-    return BirdsEye(scene, 120, tuple(range(len(scene.cameras))))
+    return BirdsEye(scene, 120, tuple(range(len(scene.cameras))), PLAN)
 
 
-def test_a_frame_is_the_map_drawn_whole_and_only_what_moves_is_drawn_again(filmed):
+def test_a_frame_is_the_map_drawn_whole(filmed):
     size = 800, map_height_px(filmed, 800)
     film = MapFilmRenderer(filmed, size)
-    frames = {step: np.asarray(film.picture(step)).astype(int) for step in (119, 0)}
-    for step, frame in frames.items():
-        whole = np.asarray(map_picture(filmed, step, size)).astype(int)
-        assert np.abs(frame - whole).max() <= ROUNDING
-    assert (np.abs(frames[0] - frames[119]) > ROUNDING).any()
-    film, drawn = MapFilmRenderer(filmed, (640, map_height_px(filmed, 640))), []
-    sheet = film.map.sheet
-    for artist in film.map.figure.findobj():
-        artist.draw = lambda renderer, artist=artist: drawn.append(artist)
-    for step in (3, 4, 5):
-        film.picture(step)
-    assert len(drawn) == 3 * len(sheet.moving) and set(drawn) == set(sheet.moving)
-    tracks = [line for line in sheet.axes.lines if len(line.get_xdata()) == filmed.steps]
-    assert len(tracks) >= len(filmed.scene.vessels) and not set(tracks) & set(sheet.moving)
+    frames = [np.asarray(film.picture(step)) for step in (119, 0)]
+    for step, frame in zip((119, 0), frames, strict=True):
+        np.testing.assert_array_equal(frame, np.asarray(map_picture(filmed, step, size)))
+    assert (frames[0] != frames[1]).any()
+
+
+def test_a_closest_approach_is_that_of_straight_courses():
+    here, velocities = np.array([[0.0, 0.0], [1000.0, 60.0]]), np.array([[5.0, 0.0], [-5.0, 0.0]])
+    distance_m, after_s, then = _approach(here, velocities)
+    assert (distance_m, after_s) == pytest.approx((60, 100)) and then.tolist() == [[500, 0], [500, 60]]
+    assert _approach(here, -velocities)[1] == pytest.approx(-100)  # was before
+
+
+def test_the_bearing_of_a_box_points_at_its_vessel(scene):
+    (camera,), whole = scene.cameras, 0
+    for frame in simulate_frames(scene):
+        poses = scene.poses.poses(frame.step, frame.step + 1).positions_m[0]
+        for box_px, vessel in zip(frame.truth.full_boxes_px, frame.truth.vessels, strict=True):
+            if box_px[0] > 1 and box_px[2] < camera.intrinsics.image_size_px[0] - 1:  # seen from end to end
+                bearing = Bearing.of(Solids.at(scene, camera, frame.step), box_px, palette.ALARM)
+                away = poses[scene.vessel_names.index(vessel), :2] - bearing.at_m
+                off = math.acos(min(bearing.direction @ away / np.hypot(*away), 1.0))
+                assert off < (box_px[2] - box_px[0]) / 2000 + 1e-3  # of the half angle, at a focal length of 1000 px
+                whole += 1
+    assert whole > 5
+
+
+def test_layers_of_a_map_are_drawn_on_request_and_rings_count_in_their_unit(birds_eye):
+    with pytest.raises(ModsimError, match=r"unknown layer 'wires'; known layers: vectors, cpa, .*cables"):
+        MapLayers.of(["nm", "wires"])
+    for names, unit in (((), "m"), (("nm", "vectors"), "nm"), (("cables",), "cables")):
+        axes = map_figure(replace(birds_eye, layers=MapLayers.of(names)), 5, 900).axes[0]
+        radii = [text.get_text() for text in axes.texts if text.get_text().endswith(f" {unit}")]
+        assert radii and ("speed vector, 6 min" in axes.get_legend_handles_labels()[1]) == ("vectors" in names)
+    metres = [float(radius.split()[0]) * 185.2 for radius in radii]
+    assert max(metres) < np.hypot(*np.ptp(np.reshape(birds_eye.extent_m, (2, 2)), axis=1))
+
+
+def test_a_scene_on_the_earth_has_north_on_its_map(birds_eye):
+    for origin in (None, (56.0, 12.6)):
+        axes = map_figure(replace(birds_eye, scene=replace(birds_eye.scene, origin=origin)), 5, 900).axes[0]
+        assert (
+            ("N" in {text.get_text() for text in axes.texts}) == (origin is not None) == ("north" in axes.get_ylabel())
+        )
+
+
+def test_a_plan_has_the_picture_beside_the_map(monkeypatch, run, tmp_path):
+    pictures = {}
+    for name, options in {"plan": ("--kind", "plan"), "bare": ("--kind", "plan", "--layers", "nm")}.items():
+        pictures[name] = picture(monkeypatch, run, tmp_path / f"{name}.png", *options)
+    half = pictures["plan"].shape[1] // 2
+    assert pictures["plan"].shape == pictures["bare"].shape
+    differ = (pictures["plan"] != pictures["bare"]).any(axis=(0, 2))
+    assert differ[half:].any() and not differ[:half].any()
 
 
 def test_a_vessel_that_is_absent_is_not_drawn(birds_eye):

@@ -15,7 +15,7 @@ from modsim3d.runs.selection import select
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
 from modsim3d.view.films.renderer import FilmRenderer
-from modsim3d.view.pictures import contact_sheet, frame_picture
+from modsim3d.view.pictures import close_up, contact_sheet, frame_picture
 from modsim3d.view.pictures.canvas import Label, Window, text_size
 from modsim3d.view.pictures.contact_sheet import pick_highlights
 from modsim3d.view.pictures.layers import DETECTIONS, NAMES, WEATHER, Layers, fate, is_a
@@ -172,7 +172,7 @@ def test_a_vessel_that_is_hidden_in_part_has_its_share_after_a_comma(seen, label
 
 def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_that(run, labels, monkeypatch):
     arrows: list[tuple] = []
-    monkeypatch.setattr(contact_sheet.Canvas, "arrow", lambda canvas, *arrow: arrows.append(arrow))
+    monkeypatch.setattr(close_up.Canvas, "arrow", lambda canvas, *arrow: arrows.append(arrow))
     for highlight in pick_highlights(run.finished_tables, run.scene):
         labels.clear(), arrows.clear()
         frame = run.frame(highlight.camera, highlight.step)
@@ -200,9 +200,10 @@ def test_a_caption_is_cut_where_it_is_too_long_and_names_what_hides_a_vessel_wit
 
 def test_an_arrow_covers_no_other_boat_and_stays_in_the_picture():
     box, above = (300.0, 200.0, 340.0, 230.0), (250.0, 120.0, 390.0, 195.0)
-    arrows = [contact_sheet._arrow(box, others) for others in ([box], [box, above])]
+    size = (720, 440)
+    arrows = [close_up._arrow(box, others, size, 56) for others in ([box], [box, above])]
     assert arrows == [((320.0, 192.0), (0, 1)), ((320.0, 238.0), (0, -1))]
-    assert contact_sheet._arrow((300.0, 10.0, 340.0, 30.0), []) == ((320.0, 38.0), (0, -1))
+    assert close_up._arrow((300.0, 10.0, 340.0, 30.0), [], size, 56) == ((320.0, 38.0), (0, -1))
 
 
 def test_the_legend_has_the_vessels_that_the_pictures_show(run):
@@ -217,9 +218,22 @@ def test_the_legend_has_the_vessels_that_the_pictures_show(run):
     assert {entry.text.split(": ")[1] for entry in plan.layout(run.scene).entries} == shown
 
 
+def test_more_than_twelve_vessels_have_numbers_in_the_scene(run):
+    few, many = (FilmPlan(("scene",), (0,), 640, vessels=tuple(range(count))) for count in (12, 13))
+    assert not few.layers_of("scene").numbers and many.layers_of("scene").numbers
+
+
+def test_a_label_stays_at_its_vessel_whatever_the_error_of_the_box(seen, labels):
+    for away_px in (0.0, 25.0, 80.0):
+        drawn(with_detection(seen, away_px), DETECTIONS)
+    truth = seen.frame.truth
+    at_sail = tuple(truth.full_boxes_px[truth.vessels.index("sail")].tolist())
+    assert [label.box for label in labels if label.vessel == "sail" and "0.70" in label.text] == [at_sail] * 3
+
+
 def test_films_say_that_weather_is_not_drawn_unless_some_is(run):
     (step,) = select(run, (0, 1), from_s=0, to_s=0).step_frames()
     for style, is_told in ((RenderStyle(), True), (RenderStyle(shaded=True, night=True), False)):
         plan = FilmPlan(("detections",), (0, 1), 640, style=style, boxes_on_scene=style.shaded)
         head = FilmRenderer(run.scene, plan, PlainIds())._head(step)
-        assert "    detector " in head and head.endswith(f"    {WEATHER}") == is_told
+        assert head[-1 - is_told].startswith("detector ") and (head[-1] == WEATHER) == is_told

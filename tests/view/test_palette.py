@@ -27,17 +27,18 @@ def least_distance(colours, seen):
 
 @pytest.mark.parametrize("seen", SEEN_BY)
 def test_vessels_alarm_and_truth_are_far_apart_and_everything_stands_out_from_the_sea(seen):
-    assert least_distance([*palette.VESSELS, palette.ALARM, palette.TRUTH], seen) > 7 * JUST_NOTICEABLE
+    assert least_distance([*palette.VESSELS, palette.OWN, palette.ALARM, palette.TRUTH], seen) > 7 * JUST_NOTICEABLE
     sea = lab(palette.SEA, SEEN_BY[seen])
     for colour in (*palette.VESSELS, palette.ALARM, palette.TRUTH, palette.SKY):
         assert np.linalg.norm(lab(colour, SEEN_BY[seen]) - sea) > 10 * JUST_NOTICEABLE
-    assert palette.ALARM not in {palette.vessel_colour(i) for i in range(60)}
+    assert not {palette.ALARM, palette.OWN} & {palette.vessel_colour(i, [3]) for i in range(60) if i != 3}
+    assert palette.vessel_colour(3, [3]) == palette.OWN
 
 
 def test_text_is_readable_on_every_plate():
     """Contrast at least 3 : 1, as WCAG 2 asks for large text; lightness differs by more than 35."""
     np.testing.assert_allclose(lab((255, 255, 255), np.eye(3)), [100, 0, 0], atol=0.02)  # white is white in Lab
-    for plate in [palette.vessel_colour(i) for i in range(18)] + [palette.ALARM, palette.TRUTH]:
+    for plate in [palette.vessel_colour(i) for i in range(18)] + [palette.ALARM, palette.TRUTH, palette.OWN]:
         assert abs(lab(plate, np.eye(3))[0] - lab(palette.ink_on(plate), np.eye(3))[0]) > 35, plate
 
 
@@ -47,7 +48,7 @@ def test_states_go_from_pale_to_strong_in_steps_that_everybody_sees_and_no_colou
         assert len(ramp) == states and least_distance(ramp, seen) > 4 * JUST_NOTICEABLE, (states, seen)
         lightness = [lab(colour, SEEN_BY[seen])[0] for colour in ramp]
         assert lightness == sorted(lightness, reverse=True), (states, seen)
-    others = [palette.ALARM, palette.TRUTH, palette.SEA, palette.SKY, *palette.VESSELS, *palette.TRACKS]
+    others = [palette.ALARM, palette.TRUTH, palette.SEA, palette.SKY, *palette.VESSELS]
     for state in palette.state_colours(5):
         assert all(np.linalg.norm(lab(state, np.eye(3)) - lab(other, np.eye(3))) > 10 for other in others), state
     assert palette.state_colours(1) == palette.state_colours(2)[:1]  # a detector with one state

@@ -69,7 +69,7 @@ def vessel_pixels(painter, solids, window, monkeypatch):
     pictures = []
     monkeypatch.setattr(shaded_picture, "REFLECTION", 0.0)
     for colour in ((0, 0, 0), (255, 255, 255)):
-        monkeypatch.setattr(shaded_picture, "occluder_colour", lambda occluder, vessels, colour=colour: colour)
+        monkeypatch.setattr(shaded_picture, "occluder_colour", lambda occluder, solids, colour=colour: colour)
         pictures.append(np.asarray(painter.picture(solids, window, samples=1)))
     return (pictures[1] != pictures[0]).any(axis=-1)
 

@@ -30,8 +30,21 @@ def tracks(rows, followed, tmp_path_factory):
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def test_a_box_has_its_tracks_colour_and_trail_a_false_one_the_alarms(call, exact_run, followed, tracks, tmp_path):
-    options = ("--width", WIDTH, "--layers", "tracks", "--tracks", tracks, "--out", tmp_path / "a.png")
+def test_a_track_and_its_trail_have_the_colour_of_its_vessel_a_false_one_the_alarms(
+    call, exact_run, followed, tracks, tmp_path
+):
+    options = (
+        "--width",
+        WIDTH,
+        "--crop",
+        "none",
+        "--layers",
+        "tracks",
+        "--tracks",
+        tracks,
+        "--out",
+        tmp_path / "a.png",
+    )
     said = answer(call, ("view", "frame", exact_run, STEP, *options))
     assert followed.sentence() in " ".join(said.split())
     with Image.open(tmp_path / "a.png") as written:  # under the head line, with two pixels for one of the image
@@ -39,16 +52,15 @@ def test_a_box_has_its_tracks_colour_and_trail_a_false_one_the_alarms(call, exac
     here = followed.rows_of(STEP)
     assert here.stop - here.start >= 3
     for number, (x0, y0, _, y1) in zip(followed.tracks.track[here], followed.tracks.boxes_px[here], strict=True):
-        colour = palette.ALARM if number == FALSE_TRACK else palette.track_colour(int(number))
+        colour = palette.ALARM if number == FALSE_TRACK else palette.vessel_colour(int(number))
         left = picture[int(2 * y0) + 2 : int(2 * y1) - 2, int(2 * x0) + 2 : int(2 * x0) + 4]
         share = (left == colour).all(axis=-1).mean()
         assert share > (0.4 if number == FALSE_TRACK else 0.6), number  # a false one is dashed
-    assert not (picture == palette.TRACKS[6]).all(axis=-1).any()
     trail = followed.trail_px(here.start + followed.tracks.track[here].tolist().index(2))
     assert len(trail) == 3  # a step a second, two seconds back
     for x, y in (trail[:-1] + trail[1:]) / 2:
         around = picture[int(2 * y) - 2 : int(2 * y) + 3, int(2 * x) - 2 : int(2 * x) + 3]
-        assert (np.abs(around - palette.track_colour(2)).max(axis=-1) < 40).any()
+        assert (np.abs(around - palette.vessel_colour(2)).max(axis=-1) < 40).any()
 
 
 def test_pictures_without_the_layer_are_those_without_tracks(call, exact_run, tracks, tmp_path):
@@ -70,7 +82,7 @@ def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(call, exact_r
 def test_tracks_not_drawn_or_of_an_interrupted_run_are_refused(call, exact_run, tmp_path, tracks):
     for line in (("film", exact_run), ("frame", exact_run, 3)):
         line = ("view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite")
-        refusal(call, line, "--tracks works with --kind detections and all")
+        refusal(call, line, "--tracks works with --kind detections, all, plan and map")
     cut = interrupt(load_scene(str(crossing(tmp_path, 400)), source="analytic"), tmp_path / "cut")
     for line in (("report", cut), ("export", cut, "--format", "rerun"), ("view", "frame", cut, 0)):
         said = refusal(call, (*line, "--tracks", tracks, "--out", tmp_path / "x.png"))

@@ -29,14 +29,15 @@ from modsim3d.campaign.verdicts.seed_values import (
 )
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import levels_of
-from modsim3d.campaign.work.row import DONE, SAID, error_text
-from modsim3d.campaign.worst_film import moment_picture
+from modsim3d.campaign.work.row import DONE, SAID, error_text, rules_of
 from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Row, Table, Text
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, listed, three_digits, three_digits_with_interval
+from modsim3d.tracking.worst_film import ABOUT, moment_pictures
+from modsim3d.tracks.tracks import Tracks
 from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
-from modsim3d.view.pages.page import document_page, image
+from modsim3d.view.pages.page import document_page, images
 
 DISTANCES_M = (100.0, 200.0, 400.0, 600.0, 900.0, 1200.0, 1600.0, 2000.0, 3000.0)
 SIZE_EDGES_M = (0.0, 8.0, 15.0, 50.0, np.inf)
@@ -177,7 +178,7 @@ def _difference(each: PairedDifference, span: tuple[float, float]) -> Cell:
 
 
 WORST = 5  # runs that are shown with a picture
-WIDTH_PX, QUALITY = 960, 82  # of a picture: pixels, and of JPEG
+QUALITY = 82  # of a picture, as JPEG
 MAX_ERRORS, MAX_NUMBERS = 20, 8
 
 
@@ -216,11 +217,13 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
 def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: float) -> Block:
     """The moment at which a run went wrong; a run that cannot be made again says why."""
     try:
-        picture = moment_picture(remade(folder, number), moment_s, WIDTH_PX)
+        made = remade(folder, number)
+        assert isinstance(made.tracks, Tracks)  # of tracks in the world no moment is known
+        pictures = moment_pictures(made.rows, made.tracks, moment_s, rules_of(folder.keys.score))
     except ModsimError as error:
         return Text(f"There is no picture: {error}", "soft")
-    caption = f"Run {number} at {moment_s:g} s: what is true, and the tracks of {tracker}."
-    return Figure(partial(image, picture, caption, "jpeg", quality=QUALITY), caption)
+    caption = f"Run {number} before and after {moment_s:g} s, with {tracker}. {ABOUT}"
+    return Figure(partial(images, pictures, caption, "jpeg", quality=QUALITY), caption)
 
 
 def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:

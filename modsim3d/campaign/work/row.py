@@ -14,7 +14,6 @@ from modsim3d.campaign.keys import TIMES, CampaignKeys, Requirement, ScoreKeys, 
 from modsim3d.campaign.plan import CAMERA, GROUPS, STATE, Plan
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
-from modsim3d.campaign.work.worst_moment import worst_moment_s
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.coprocess import CoprocessError
@@ -27,6 +26,7 @@ from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
 from modsim3d.tracking.world.scoring import score_world
+from modsim3d.tracking.worst_moment import worst_moment_s
 from modsim3d.tracks.tracks import Similarity, WorldTracks
 
 APPROACHES = "approaches"  # column of the approaches of vessels as JSON, in campaigns that have a lookout requirement

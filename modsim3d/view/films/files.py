@@ -33,7 +33,8 @@ KEEP = 1  # disposal method of a frame that the next one is drawn over
 def film_palette(samples: Sequence[Image.Image]) -> Image.Image:
     """Choose 255 colours for a film: those that everything is drawn with, and the most frequent ones of some frames.
     All frames share one palette, so that what stands still keeps the same index. A picture of one pixel holds it."""
-    exact = [palette.PAPER, palette.INK, palette.SEA, palette.SKY, palette.TRUTH, palette.ALARM, palette.HORIZON]
+    names = ("PAPER", "INK", "SEA", "SKY", "TRUTH", "ALARM", "HORIZON", "OWN")
+    exact = [getattr(palette, name) for name in names]
     exact += [palette.vessel_colour(i) for i in range(3 * len(palette.VESSELS))]
     width, height = max(p.width for p in samples), sum(p.height for p in samples)
     stack, y = Image.new("RGB", (width, height)), 0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 
@@ -20,15 +20,24 @@ from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_marks import BirdsEye
 from modsim3d.view.map_picture import map_height_px
-from modsim3d.view.pictures.canvas import MIN_TEXT_PX, NOMINAL_PX, TEXT_PX, Box, Window, font, words_apart
-from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
+from modsim3d.view.pictures.canvas import (
+    MIN_TEXT_PX,
+    NOMINAL_PX,
+    TEXT_PX,
+    Box,
+    Label,
+    Window,
+    font,
+    text_size,
+    words_apart,
+)
+from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, MAP, SCENE, Layers, MapLayers
 from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, legend, vessel_entries
 from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
 
-# ---- The sheet of a film ----
-
 GAP_PX = 4
 KEY_SHARE = 0.12  # height of the legend, as a share of what is above it, from which on it is set smaller
+INSET_LINES = 3.4  # height of a strip beside an inset, in sizes of its text
 SEVERAL = 0.7  # however narrow a panel, its text is as large as in one of this share of the sheet
 
 
@@ -41,6 +50,7 @@ class FilmLayout:
     aspects: tuple[float, ...]  # width over height of each panel, row by row
     entries: tuple[LegendEntry, ...]  # of the legend at the bottom
     enlarged: float = 1.0  # size of text and lines, as a multiple of the usual one
+    insets: bool = False  # whether a small picture says where in the image each panel is
 
     @property
     def text_px(self) -> int:
@@ -49,13 +59,19 @@ class FilmLayout:
 
     @property
     def head_px(self) -> int:
-        """Height of the line at the top."""
-        return 2 * self.text_px
+        """Height of the lines at the top, beside the inset of a single panel."""
+        return round((INSET_LINES if self.insets and len(self.aspects) == 1 else 2) * self.text_px)
 
     @property
     def title_px(self) -> int:
-        """Height of the titles above a row of panels; a single panel has none."""
-        return round(1.7 * self.text_px) if len(self.aspects) > 1 else 0
+        """Height of the titles above a row of panels, beside their insets; a single panel has none."""
+        return round((INSET_LINES if self.insets else 1.7) * self.text_px) if len(self.aspects) > 1 else 0
+
+    @property
+    def inset_px(self) -> tuple[int, int]:
+        """Width and height that an inset may have."""
+        height = self.title_px or self.head_px
+        return min(2 * height, self.panel_width // 3), height - 4
 
     @property
     def nominal_width(self) -> int:
@@ -97,36 +113,71 @@ class FilmLayout:
         """Width and height of the whole sheet in pixels; both are even."""
         return self._blank.size
 
-    def compose(self, head: str, titles: Sequence[str], panels: Sequence[Image.Image]) -> Image.Image:
-        """One picture of the film, from pictures of the sizes `panel_sizes`; a single panel shows no title."""
-        sheet = self._blank.copy()
-        place, text = (self.text_px // 2, self.text_px // 3), words_apart(head, self.text_px)
-        ImageDraw.Draw(sheet).text(place, text, fill=palette.INK, font=font(self.text_px))
-        for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
+    def compose(
+        self,
+        head: Sequence[str],
+        titles: Sequence[str],
+        panels: Sequence[Image.Image],
+        insets: Sequence[Image.Image | None] = (),
+    ) -> Image.Image:
+        """One picture of the film, from the parts of its head, and from pictures of the sizes `panel_sizes` with their
+        insets, if they have some; a single panel shows no title."""
+        sheet, single = self._blank.copy(), not self.title_px
+        inset_px = max((inset.width for inset in insets if inset is not None), default=0)
+        strip = _strip(tuple(head), (self.width, self.head_px), self.text_px, self.width - inset_px * single)
+        sheet.paste(strip, (0, 0))
+        for place, (title, panel, (x, y)) in enumerate(zip(titles, panels, self._places, strict=True)):
             sheet.paste(panel, (x, y))
-            if self.title_px:
-                sheet.paste(_title(title, (self.panel_width, self.title_px), self.text_px), (x, y - self.title_px))
+            if not single:
+                size = self.panel_width, self.title_px
+                sheet.paste(_strip((title,), size, self.text_px, size[0]), (x, y - self.title_px))
+            if insets and (inset := insets[place]) is not None:
+                sheet.paste(inset, (x + self.panel_width - inset.width, y - inset.height - 2))
         return sheet
 
 
 @lru_cache(maxsize=64)
-def _title(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
-    """A strip of paper with a title, which it cuts if it is wider; most titles stay for a whole film."""
-    strip = Image.new("RGB", size, palette.PAPER)
-    ImageDraw.Draw(strip).text((text_px // 2, text_px // 4), text, fill=palette.INK, font=font(text_px))
+def _strip(parts: tuple[str, ...], size: tuple[int, int], text_px: int, room_px: int) -> Image.Image:
+    """A strip of paper with texts beside each other, or below each other where there is no room, cut at its right end;
+    most stay for a whole film."""
+    strip, lines = Image.new("RGB", size, palette.PAPER), list(parts[:1])
+    for part in parts[1:]:
+        longer = f"{lines[-1]}    {part}"
+        fits = text_size(words_apart(longer, text_px), text_px)[2] + text_px <= room_px
+        lines[-1:] = [longer] if fits or (len(lines) + 1.3) * 1.3 * text_px > size[1] else [lines[-1], part]
+    top = (size[1] - 1.3 * text_px * len(lines)) / 2
+    for place, line in enumerate(lines):
+        at = text_px // 2, round(top + 1.3 * text_px * place)
+        ImageDraw.Draw(strip).text(at, words_apart(line, text_px), fill=palette.INK, font=font(text_px))
     return strip
 
 
-# ---- The contents of a film's pictures ----
-
 KINDS = ("detections", "scene", "ids", "corners", "map")
+PLAN_KINDS = ("detections", "map")  # side by side
 ALL = ("detections", "scene", "ids")
 TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}
 """Titles of panels whose kind's name says too little."""
 MAX_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
+CLOSE_UP_ASPECT, CLOSE_UP_PX = 1.6, 100.0  # width over height, and the least width in pixels of the image
+TOLD_APART = 12  # so many vessels are told apart by their colours; more have numbers
 MIN_CROP = 0.02  # share of an image that is shown around vessels, however small they are
-MIN_ASPECT, MAX_ASPECT = 4 / 3, 8 / 3  # of the part of an image shown around vessels, if the image is not smaller
+MIN_ASPECT, MAX_ASPECT = 4 / 3, 3.2  # of the part of an image shown around vessels, if the image is not smaller
+STACKED_FROM = 2.4  # panels of this aspect lie below each other
+
+
+@dataclass(frozen=True, eq=False)
+class CloseUp:
+    """A vessel, or a track on nothing, that a film follows with an arrow at it. Nothing else has a label."""
+
+    boxes_px: Mapping[int, Box]  # by step, of one size
+    captions: Mapping[int, str]  # by step
+    vessel: str | None  # name; None of a track on nothing
+    tracks: frozenset[int]  # numbers of the tracks that it is about, which alone are drawn
+
+    def wanted(self, label: Label) -> bool:
+        """Whether a label is about it."""
+        return label.vessel == self.vessel is not None or label.text in {f"#{number}" for number in self.tracks}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +195,16 @@ class FilmPlan:
     columns: int | None = None  # panels side by side; those of a camera, or the cameras, if None
     mistakes: Outcome = NOTHING_WRONG  # wrong detections in the pictures, for the legend; see `mistakes_in`
     tracks: FollowedTracks | None = None  # of a tracker, for pictures with the layer `tracks`; none if None
-    note: str = ""  # in the head line after all else
+    close_up: CloseUp | None = None  # what the pictures of the one camera follow, in place of a crop
     vessels: tuple[int, ...] | None = None  # in the pictures, for the legend; all if None; see `vessels_in`
     enlarged: float = 1.0  # size of text and lines, for a picture that a page shows smaller than it is
+    key: bool = True  # whether there is a legend
+    map_layers: MapLayers = MAP  # of a map
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
-        return self.layers or {"detections": DETECTIONS, "corners": CORNERS, "scene": SCENE}[kind]
+        scene = replace(SCENE, numbers=self.vessels is not None and len(self.vessels) > TOLD_APART)
+        return self.layers or {"detections": DETECTIONS, "corners": CORNERS, "scene": scene}[kind]
 
     def panels(self) -> list[tuple[int, str]]:
         """Place of the camera in `cameras`, and kind, of each panel."""
@@ -159,7 +213,7 @@ class FilmPlan:
 
     def birds_eye(self, scene: Scene) -> BirdsEye:
         """Content of the map."""
-        return BirdsEye(scene, self.steps, self.cameras)
+        return BirdsEye(scene, self.steps, self.cameras, self.map_layers)
 
     def layout(self, scene: Scene) -> FilmLayout:
         """The places of panels and legend."""
@@ -167,29 +221,38 @@ class FilmPlan:
         if "detections" in self.kinds:
             layers, tracker = self.layers_of("detections"), self.tracks.name if self.tracks else None
             entries += detection_entries(layers, scene.annotation.mode, self.mistakes, tracker)
-        shown = range(len(scene.vessels)) if self.vessels is None else self.vessels
-        names = {index: scene.vessel_names[index] for index in shown}
+        indices = range(len(scene.vessels)) if self.vessels is None else self.vessels
+        names = {index: scene.vessel_names[index] for index in indices}
         if "ids" in self.kinds:
-            entries += id_entries(names, [obstacle.name for obstacle in scene.obstacles])
+            entries += id_entries(names, [obstacle.name for obstacle in scene.obstacles], scene.own_ships)
         elif set(self.kinds) & {"scene", "corners"}:
-            entries += vessel_entries(names)
+            entries += vessel_entries(names, scene.own_ships)
         panels = self.panels()
         several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MAX_COLUMNS)
         aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
-        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries), self.enlarged)
+        shown = tuple(entries) if self.key else ()
+        return FilmLayout(self.width, self.columns or several, aspects, shown, self.enlarged, self.insets)
+
+    @property
+    def insets(self) -> bool:
+        """Whether a small picture says where in the image each panel is."""
+        return self.close_up is not None or any(crop is not None for crop in self.crops_px)
 
     def _aspect(self, scene: Scene, place: int, kind: str) -> float:
         if kind == "map":
             return self.width / map_height_px(self.birds_eye(scene), self.width)
         x0, y0, x1, y1 = self._shown(scene, place)
-        return (x1 - x0) / (y1 - y0)
+        return CLOSE_UP_ASPECT if self.close_up else (x1 - x0) / (y1 - y0)
 
     def _shown(self, scene: Scene, place: int) -> Box:
         width, height = scene.cameras[self.cameras[place]].intrinsics.image_size_px
         return (self.crops_px and self.crops_px[place]) or (0.0, 0.0, float(width), float(height))
 
-    def window(self, scene: Scene, place: int, size: tuple[int, int]) -> Window:
-        """The part of a camera's image that its panel shows."""
+    def window(self, scene: Scene, place: int, size: tuple[int, int], step: int) -> Window:
+        """The part of a camera's image that its panel shows at a step."""
+        if self.close_up is not None:
+            image_size_px = scene.cameras[self.cameras[place]].intrinsics.image_size_px
+            return Window.around(self.close_up.boxes_px[step], image_size_px, size, CLOSE_UP_PX)
         x0, y0, x1, _ = self._shown(scene, place)
         return Window(x0, y0, size[0] / (x1 - x0), size)
 
@@ -250,7 +313,7 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
         raise ModsimError(
-            f"--crop {text}: give four numbers of pixels, x_min,y_min,x_max,y_max, or the word vessels"
+            f"--crop {text}: give four numbers of pixels, x_min,y_min,x_max,y_max, or the word vessels or none"
         ) from None
     for index in selection.cameras:
         camera = selection.run.scene.cameras[index]
@@ -259,8 +322,6 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
             raise ModsimError(f"--crop {text} is not inside {camera.name}'s image of {width} × {height} px")
     return ((x0, y0, x1, y1),) * len(selection.cameras)
 
-
-# ---- When each frame of a film is shown ----
 
 MIN_RATE = 5  # frames per second; slower films show frames several times, as some players stumble over long frames
 SAME_S = 1e-6  # steps that differ by less are of the same length

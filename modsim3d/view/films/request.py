@@ -13,12 +13,13 @@ from modsim3d.view.films import plan as film_plan
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_picture import check_matplotlib
 from modsim3d.view.pictures.canvas import Box
-from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.layers import MAP, PLAN, Layers, MapLayers
 from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
 
-WITH_LOOK = ("scene", "detections", "all")
+WITH_LOOK = ("scene", "detections", "all", "plan")
 SKIES = {"overcast", "rain", "dusk", "night"}
-WITH_TRACKS = ("detections", "all")
+CROPPED = ("detections", "ids", "all", "plan")  # to where vessels are, unless another part is asked for
+WITH_TRACKS = ("detections", "all", "plan", "map")
 
 
 def parse_look(text: str) -> RenderStyle:
@@ -51,9 +52,9 @@ def parse_look(text: str) -> RenderStyle:
 class PictureRequest:
     """Content of a picture or of each picture of a film."""
 
-    kind: str = "detections"  # one of `KINDS`, or `all` for detections, scene and IDs side by side
+    kind: str = "detections"  # one of `KINDS`, `all`: detections, scene and IDs, or `plan`: detections and map
     layers: Sequence[str] | None = None  # names of layers to draw over the image; those of the kind if None
-    crop: str | None = None  # x_min,y_min,x_max,y_max in pixels, or `vessels`; all of the image if None
+    crop: str | None = None  # x_min,y_min,x_max,y_max in pixels, `vessels`, or `none`: all; that of the kind if None
     width: int | None = None  # in pixels; the usual one if None
     look: RenderStyle | None = None  # as `--look` says it; that of the kind if None
     with_tracks: bool = False  # whether tracks of a tracker are drawn
@@ -61,45 +62,60 @@ class PictureRequest:
     def __post_init__(self) -> None:
         """Raise ModsimError if parts of the request do not go together, or if there is no such layer."""
         if self.with_tracks and self.kind not in WITH_TRACKS:
-            raise ModsimError(f"--tracks works with --kind detections and all, not with {self.kind}")
+            raise ModsimError(f"--tracks works with --kind detections, all, plan and map, not with {self.kind}")
         if self.look is not None and self.kind not in WITH_LOOK:
-            raise ModsimError(f"--look works with --kind scene, detections and all, not with {self.kind}")
+            raise ModsimError(f"--look works with --kind scene, detections, all and plan, not with {self.kind}")
         if self.width is not None and self.width % 2:
             even = f"{self.width - 1} or {self.width + 1}"
             raise ModsimError(f"--width {self.width}: films need an even width, such as {even}")
         if self.layers is not None:
-            Layers.of(self.layers)
+            (MapLayers if "map" in self.kinds else Layers).of(self.layers)
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Some of `KINDS`, shown side by side."""
-        return film_plan.ALL if self.kind == "all" else tuple(kind for kind in film_plan.KINDS if kind == self.kind)
+        several = {"all": film_plan.ALL, "plan": film_plan.PLAN_KINDS}
+        return several.get(self.kind) or tuple(kind for kind in film_plan.KINDS if kind == self.kind)
+
+    @property
+    def map_layers(self) -> MapLayers:
+        """The layers of a map."""
+        if "map" in self.kinds and self.layers is not None:
+            return MapLayers.of(self.layers)
+        return PLAN if self.kind == "plan" or self.with_tracks else MAP
 
     def plan(self, selection: Selection, tracks: FollowedTracks | None = None) -> film_plan.FilmPlan:
         """Plan of the pictures of some frames of a run.
         Raises ModsimError if a part of the image is not in it, or a library that this needs is not there."""
         style, boxes_on_scene = self._style()
-        if self.kind == "map":
+        with_map = "map" in self.kinds
+        if with_map:
             check_matplotlib()
         crops: tuple[Box, ...] = ()
-        if self.crop == "vessels":
+        crop = self.crop or ("vessels" if self.kind in CROPPED else "none")
+        if crop == "vessels":
             crops = film_plan.crop_to_vessels(selection)
-        elif self.crop is not None:
-            crops = film_plan.parse_crop(selection, self.crop)
+        elif crop != "none":
+            crops = film_plan.parse_crop(selection, crop)
         kinds = {*self.kinds}
-        several = self.kind != "map" and (len(kinds) > 1 or len(selection.cameras) > 1)
+        panels = 1 if self.kind == "map" else len(kinds) * len(selection.cameras)
+        wide = all((x1 - x0) / (y1 - y0) >= film_plan.STACKED_FROM for x0, y0, x1, y1 in crops)
+        stacked = bool(crops) and wide and panels <= film_plan.MAX_COLUMNS and not with_map
+        several = panels > 1 and not stacked
         return film_plan.FilmPlan(
             self.kinds,
             selection.cameras,
             self.width or (film_plan.SEVERAL_WIDTH_PX if several else film_plan.WIDTH_PX),
-            None if self.layers is None else Layers.of(self.layers),
+            None if self.layers is None or with_map else Layers.of(self.layers),
             crops,
             style,
             boxes_on_scene,
             selection.run.steps,
+            1 if stacked else None,
             mistakes=film_plan.mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
             tracks=tracks,
             vessels=film_plan.vessels_in(selection, crops) if kinds & {"scene", "ids", "corners"} else (),
+            map_layers=self.map_layers,
         )
 
     def _style(self) -> tuple[RenderStyle, bool]:

@@ -86,6 +86,7 @@ th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px
 summary { cursor: pointer; padding: 0.25rem 0; }
 .scroll { overflow-x: auto; } .scroll:focus-visible { outline-offset: -2px; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
+.pictures { display: grid; gap: 0.6rem; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
 .beside { display: flex; flex-wrap: wrap; gap: 0 2.5rem; } .beside > div { min-width: 0; max-width: 34rem; }
 .contents ul { display: flex; flex-wrap: wrap; gap: 0.2rem 1.2rem; padding: 0; list-style: none; max-width: none; }
@@ -196,3 +197,9 @@ def image(picture: Image, alt: str, kind: str = "png", **options: Any) -> str:
         f'<img src="data:image/{kind};base64,{data}" alt="{html.escape(alt, quote=True)}" width="{picture.width}" '
         f'height="{picture.height}">'
     )
+
+
+def images(pictures: Sequence[Image], alt: str, kind: str = "png", **options: Any) -> str:
+    """Pictures of one width beside each other, or below each other where a page is narrow."""
+    inner = "\n".join(image(picture, alt, kind, **options) for picture in pictures)
+    return f'<div class="pictures">\n{inner}\n</div>' if inner else ""

@@ -12,8 +12,6 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import areas
 from modsim3d.view.palette import INK, WHITE, Colour, ink_on
 
-# ---- The part of a camera's image that a picture shows, and how large ----
-
 Box = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in pixels
 SURROUNDINGS = 4.0  # how many times as wide and high as a box a window around it is
 
@@ -34,10 +32,13 @@ class Window:
         return cls(0.0, 0.0, scale, (width, max(1, round(image_size_px[1] * scale))))
 
     @classmethod
-    def around(cls, focus_px: Box, image_size_px: tuple[int, int], size: tuple[int, int]) -> Window:
-        """A window with the picture's aspect that shows a box with its surroundings, inside the image if it fits."""
+    def around(
+        cls, focus_px: Box, image_size_px: tuple[int, int], size: tuple[int, int], least_px: float = 240.0
+    ) -> Window:
+        """A window with the picture's aspect that shows a box with its surroundings, inside the image if it fits, and
+        at least so many pixels of its width."""
         aspect, (x0, y0, x1, y1) = size[0] / size[1], focus_px
-        width = max(SURROUNDINGS * (x1 - x0), SURROUNDINGS * (y1 - y0) * aspect, 240.0)
+        width = max(SURROUNDINGS * (x1 - x0), SURROUNDINGS * (y1 - y0) * aspect, least_px)
         width = min(width, image_size_px[0], image_size_px[1] * aspect)
         height = width / aspect
         x = min(max((x0 + x1 - width) / 2, 0.0), max(image_size_px[0] - width, 0.0))
@@ -213,8 +214,6 @@ def _cut(line: Array, box: Box) -> Array | None:
     return np.array([start + first * step, start + last * step]) if first <= last else None
 
 
-# ---- Places labels so that none lies on another ----
-
 FARTHEST_ROWS = 16  # of text that a label may move away from its box
 GAP_PX = 2
 COLUMN_COST, OTHER_SIDE_COST, ROW_COST = 0.03, 0.1, 0.06
@@ -236,20 +235,28 @@ class Label:
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
-    """Draw labels, the most important ones first and optional ones last, and return how many have found a free place.
+    """Draw labels, optional ones last, and return how many have found a free place. Those of vessels are placed first,
+    in an order that stays from frame to frame, and by widths in steps, so that a label keeps its place beside its box.
     Labels cover the boxes in `keep_clear` as little as possible."""
     size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))
     chosen: list[tuple[Label, str, Array]] = []
     content = np.array(keep_clear, dtype=np.float64).reshape(-1, 4)
-    for label in sorted(labels, key=lambda label: label.optional):
+
+    def room(text: str) -> tuple[int, int]:
+        width, height = canvas.plate_size(text)
+        return -(-width // height) * height, height
+
+    for label in sorted(
+        labels, key=lambda label: (label.optional, label.vessel is None, label.vessel or "", label.below)
+    ):
         x0, y0, x1, y1 = label.box
         if x1 < 0 or y1 < 0 or x0 > size[0] or y0 > size[1]:
             continue
         text = label.text
-        cost, place = _best(label, canvas.plate_size(text), size, content, plates)
+        cost, place = _best(label, room(text), size, content, plates)
         if label.short and cost > SHORTENED_FROM:
-            less, other = _best(label, canvas.plate_size(label.short), size, content, plates)
+            less, other = _best(label, room(label.short), size, content, plates)
             if cost - less > SHORTENED_FROM:
                 text, cost, place = label.short, less, other
         if cost < (LEFT_OUT_FROM if label.optional else np.inf):

@@ -84,7 +84,7 @@ def comparison_picture(
     ids = solids.ids(Window(0.0, 0.0, 1.0, image_size), id_renderer)
     differing = differing_pixels(ids == vessel + 1, exact)
     shown = background(window, solids.sea_half_plane, image_size)
-    _paint_pixels(shown, window, ids, differing, len(solids.extents_m))
+    _paint_pixels(shown, window, ids, differing, solids)
     canvas = Canvas(shown, 1280)
     for ring in shapely.get_parts(shapely.boundary(exact)):
         corners = window.to_picture(shapely.get_coordinates(ring))
@@ -119,7 +119,7 @@ def differing_pixels(seen: Mask, exact: shapely.Geometry) -> NDArray[np.uint8]:
 
 
 def _paint_pixels(
-    picture: Image.Image, window: Window, ids: NDArray[np.uint32], differing: NDArray[np.uint8], vessels: int
+    picture: Image.Image, window: Window, ids: NDArray[np.uint32], differing: NDArray[np.uint8], solids: Solids
 ) -> None:
     """Paint the other vessels darker, and each pixel of the case by the sources that have it."""
     width, height = window.size
@@ -132,7 +132,7 @@ def _paint_pixels(
     pixels = np.array(picture)
     part = pixels[np.ix_(i, j)]
     for value in np.unique(who[who > 0]).tolist():
-        part[who == value] = palette.darker(occluder_colour(value - 1, vessels))
+        part[who == value] = palette.darker(occluder_colour(value - 1, solids))
     for index, (_, colour) in enumerate(PIXELS):
         part[what == index + 1] = colour
     pixels[np.ix_(i, j)] = part

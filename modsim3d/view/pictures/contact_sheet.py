@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from PIL import Image, ImageDraw
 
 from modsim3d.core.arrays import Array
-from modsim3d.core.boxes import areas, intersections, unions
+from modsim3d.core.boxes import areas, unions
 from modsim3d.io.atomic_write import encoded, put_in_place
 from modsim3d.render.id_pass import AnyIdRenderer
 from modsim3d.runs.counts import Outcome, faults_of, having
@@ -23,11 +23,12 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.pictures.canvas import ARROW_HEAD, Box, Canvas, Label, Window, font, text_size
-from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.canvas import Box, Label, Window, font, text_size
+from modsim3d.view.pictures.close_up import close_up, inset_of
+from modsim3d.view.pictures.frame_picture import CameraView
 from modsim3d.view.pictures.layers import DETECTIONS, WEATHER, fate
 from modsim3d.view.pictures.legend import detection_entries, legend
-from modsim3d.view.pictures.plain import background, open_id_renderer
+from modsim3d.view.pictures.plain import open_id_renderer
 from modsim3d.world.bodies import PREFIX
 
 # ---- Frames of a run that are worth looking at ----
@@ -144,7 +145,6 @@ TITLE_PX, CAPTION_TEXT_PX, TEXT_PX = 30, 26, 20  # sizes of text, which a page s
 MIN_TEXT_PX = 17  # of a long caption; one that is longer still is cut
 NOMINAL_WIDTH_PX = 1700  # of a picture for which the lines and the text of a panel are meant
 INSET_PX = (124, 62)
-ARROW_PX = 56
 
 
 def draw_contact_sheet(run: StoredRun) -> Path:
@@ -192,7 +192,7 @@ def _tile(highlight: Highlight, camera_view: CameraView, id_renderer: AnyIdRende
     window = Window.around(highlight.focus_px, image_size, PANEL_PX)
     tile = Image.new("RGB", (PANEL_PX[0], PANEL_PX[1] + CAPTION_PX), palette.PAPER)
     draw = ImageDraw.Draw(tile)
-    inset = _inset(camera_view, window)
+    inset = inset_of(camera_view, window, INSET_PX)
     caption, room = _caption(highlight, frame), PANEL_PX[0] - inset.width - GAP_PX
     fitting = (size for size in range(CAPTION_TEXT_PX, MIN_TEXT_PX, -1) if text_size(caption, size)[2] <= room)
     size = next(fitting, MIN_TEXT_PX)
@@ -221,47 +221,5 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
 
     seen, drawn = camera_view.frame.truth.visible_boxes_px, camera_view.frame.detections.boxes_px
     there = np.concatenate([seen[~np.isnan(seen).any(axis=1)], drawn])
-    arrow = _arrow(focus, [window.corners(box) for box in there])
-    labels: dict[str, Any] = {"nominal_width_px": NOMINAL_WIDTH_PX, "wanted": wanted, "keep_clear": [_place(*arrow)]}
-    picture = frame_picture(camera_view, window, DETECTIONS, id_renderer, **labels)
-    Canvas(picture, NOMINAL_WIDTH_PX).arrow(*arrow, ARROW_PX)
-    return picture
-
-
-Arrow = tuple[tuple[float, float], tuple[int, int]]  # tip and direction
-
-
-def _arrow(focus: Box, boxes: list[Box]) -> Arrow:
-    """An arrow at a box, from the side on which it covers least of what else is there, inside the panel."""
-    width, height = PANEL_PX
-    x0, y0, x1, y1 = max(focus[0], 0.0), max(focus[1], 0.0), min(focus[2], width), min(focus[3], height)
-    x, y, gap = (x0 + x1) / 2, (y0 + y1) / 2, GAP_PX / 2
-    beside: list[Arrow] = [((x0 - gap, y), (1, 0)), ((x1 + gap, y), (-1, 0))]
-    arrows: list[Arrow] = [((x, y0 - gap), (0, 1)), ((x, y1 + gap), (0, -1)), *beside]
-    places = np.array([_place(*arrow) for arrow in arrows])
-    outside = areas(places) - intersections(places, np.array([0.0, 0.0, width, height]))
-    covered = intersections(places[:, None], np.array(boxes).reshape(-1, 4)).sum(axis=1)
-    return arrows[int(np.argmin(covered + 100 * outside))]
-
-
-def _place(tip: tuple[float, float], direction: tuple[int, int]) -> Box:
-    """The box that an arrow fills."""
-    (x, y), (right, down), half = tip, direction, 0.8 * ARROW_HEAD * ARROW_PX
-    ends = np.array([[x, y], [x - right * ARROW_PX, y - down * ARROW_PX]])
-    (x0, y0), (x1, y1) = ends.min(axis=0).tolist(), ends.max(axis=0).tolist()
-    return (x0, y0 - half, x1, y1 + half) if right else (x0 - half, y0, x1 + half, y1)
-
-
-def _inset(camera_view: CameraView, window: Window) -> Image.Image:
-    """The whole image, small, with the vessels as dots and a frame around the window."""
-    image_size = camera_view.image_size_px
-    whole = Window.whole(image_size, round(min(INSET_PX[0], INSET_PX[1] * image_size[0] / image_size[1])))
-    inset = background(whole, camera_view.solids.sea_half_plane, image_size)
-    draw = ImageDraw.Draw(inset)
-    for box in camera_view.frame.truth.full_boxes_px:
-        x, y = (box.reshape(2, 2).mean(axis=0) * whole.scale).tolist()
-        draw.ellipse((x - 1.5, y - 1.5, x + 1.5, y + 1.5), fill=palette.VESSELS[3])
-    x, y = window.x * whole.scale, window.y * whole.scale
-    shown = whole.scale / window.scale
-    draw.rectangle((x, y, x + PANEL_PX[0] * shown, y + PANEL_PX[1] * shown), outline=palette.PAPER, width=2)
-    return inset
+    options: dict[str, Any] = {"nominal_width_px": NOMINAL_WIDTH_PX, "wanted": wanted, "clear_of": list(there)}
+    return close_up(camera_view, window, np.array(highlight.focus_px), DETECTIONS, id_renderer, **options)

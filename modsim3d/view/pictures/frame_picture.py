@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.render.id_pass import AnyIdRenderer, Ids, Region
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import Frame, detected_rows
@@ -20,8 +20,6 @@ from modsim3d.view.palette import Colour, vessel_colour
 from modsim3d.view.pictures.canvas import Box, Canvas, Label, Window, draw_labels
 from modsim3d.view.pictures.layers import Layers, is_a
 from modsim3d.view.pictures.plain import Solids, background, draw_horizon, fill_solids
-
-# ---- Hidden parts of vessels, hatched in their colours over what hides them ----
 
 STRIPE_PX = 4.0
 
@@ -43,7 +41,7 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
         diagonal = np.arange(region.y, region.y + region.height)[:, None] + np.arange(region.x, region.x + region.width)
         striped = hidden & (diagonal // stripe % 2 == 0)
         mask = Image.fromarray(np.where(striped, np.uint8(255), np.uint8(0)))
-        picture.paste(vessel_colour(occluder), (region.x, region.y), mask)
+        picture.paste(vessel_colour(occluder, solids.own_ships), (region.x, region.y), mask)
 
 
 def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, Mask]:
@@ -60,8 +58,6 @@ def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, M
         draw.polygon(triangle, fill=1)
     return region, np.array(mask, dtype=bool)
 
-
-# ---- Boxes of detections, with marks of what is wrong with them ----
 
 LONG_DASH_PX, DASHES_A_SIDE = 10.0, 3
 FLAG_PX, FLAG_SHARE = 16.0, 0.6  # legs of the filled corner of a wrong class, at most this share of the shorter side
@@ -94,9 +90,10 @@ def draw_tether(canvas: Canvas, box: Box, true_box: Box) -> None:
     canvas.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=palette.ALARM)
 
 
-# ---- Boxes of tracks, with their numbers and where their centres have been ----
+WEIGHT, WEIGHT_SHARE = 2.5, 0.12  # of a track's box, at most so much of its shorter side; a detection's has 1.5
 
-WEIGHT = 2.5  # of a track's box, in weights of a line; a detection's has 1.5
+
+_NO_ROWS = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,42 +102,37 @@ class FrameTracks:
 
     number: Indices  # that the tracker gave each, shape (m,)
     boxes_px: Array  # x_min, y_min, x_max, y_max, shape (m, 4)
-    false: Mask  # which follow nothing, shape (m,)
+    vessel: Indices  # index of the vessel that each follows, `NOBODY` for none, shape (m,)
     unscored: Mask  # which follow a vessel that is hidden or not annotated, shape (m,)
     trails_px: tuple[Array, ...]  # where the centre of each has been, the newest first, each of shape (n, 2)
 
     @classmethod
-    def of(cls, followed: FollowedTracks, scene: Scene, frame: Frame) -> Self:
-        """The tracks in a frame of a scene."""
-        camera = [each.name for each in scene.cameras].index(frame.camera)
-        rows = followed.rows_of(frame.step * len(scene.cameras) + camera)
-        tracks, trails = followed.tracks, (followed.trail_px(row) for row in range(rows.start, rows.stop))
-        number, boxes_px = tracks.track[rows], tracks.boxes_px[rows]
-        return cls(number, boxes_px, followed.false[rows], followed.unscored[rows], tuple(trails))
+    def of(cls, followed: FollowedTracks | None, scene: Scene, frame: Frame, only: Set[int] | None = None) -> Self:
+        """The tracks in a frame of a scene, or those with some numbers only; none if there are no tracks."""
+        if followed is None:
+            return cls(_NO_ROWS, np.empty((0, 4)), _NO_ROWS, _NO_ROWS.astype(bool), ())
+        camera, tracks = [each.name for each in scene.cameras].index(frame.camera), followed.tracks
+        rows = np.arange(len(tracks))[followed.rows_of(frame.step * len(scene.cameras) + camera)]
+        if only is not None:
+            rows = rows[np.isin(tracks.track[rows], list(only))]
+        columns = tracks.track[rows], tracks.boxes_px[rows], followed.vessel[rows], followed.unscored[rows]
+        return cls(*columns, tuple(followed.trail_px(row) for row in rows.tolist()))
 
 
-_NO_ROWS = np.empty(0, dtype=np.bool_)
-NO_TRACKS = FrameTracks(np.empty(0, dtype=np.int64), np.empty((0, 4)), _NO_ROWS, _NO_ROWS, ())
-
-
-def track_colour(number: int, false: bool) -> Colour:
-    """The colour of a track, by its number; that of what went wrong where it follows nothing."""
-    return palette.ALARM if false else palette.track_colour(number)
-
-
-def draw_tracks(canvas: Canvas, window: Window, tracks: FrameTracks) -> list[Label]:
+def draw_tracks(canvas: Canvas, window: Window, tracks: FrameTracks, own_ships: Sequence[int] = ()) -> list[Label]:
     """Draw the tracks of a frame, and return their numbers as labels.
     A box is solid where its track follows a vessel that is to be followed, and dashed elsewhere."""
     labels = []
-    numbers, dashed = tracks.number.tolist(), (tracks.false | tracks.unscored).tolist()
-    for i, (number, false) in enumerate(zip(numbers, tracks.false.tolist(), strict=True)):
-        colour, box = track_colour(number, false), window.corners(tracks.boxes_px[i])
+    for i, (number, vessel) in enumerate(zip(tracks.number.tolist(), tracks.vessel.tolist(), strict=True)):
+        colour = palette.ALARM if vessel == NOBODY else vessel_colour(vessel, own_ships)
+        box = window.corners(tracks.boxes_px[i])
+        weight = min(WEIGHT, WEIGHT_SHARE * min(box[2] - box[0], box[3] - box[1]) / canvas.line_px())
         trail = window.to_picture(tracks.trails_px[i])
         canvas.segments(np.stack([trail[:-1], trail[1:]], axis=1), colour, 1.0)
-        if dashed[i]:
-            canvas.dashed_box(box, colour, WEIGHT)
+        if vessel == NOBODY or tracks.unscored[i]:
+            canvas.dashed_box(box, colour, weight)
         else:
-            canvas.box(box, colour, WEIGHT, halo=True)
+            canvas.box(box, colour, weight, halo=True)
         labels.append(Label(box, f"#{number}", colour, below=True))
     return labels
 
@@ -156,13 +148,14 @@ class CameraView:
     frame: Frame
     solids: Solids
     vessels: tuple[str, ...]
-    tracks: FrameTracks = NO_TRACKS
+    tracks: FrameTracks
 
     @classmethod
-    def of(cls, scene: Scene, frame: Frame, tracks: FrameTracks = NO_TRACKS) -> CameraView:
+    def of(cls, scene: Scene, frame: Frame, tracks: FrameTracks | None = None) -> CameraView:
         """Add to a frame of a scene what stood before its camera, and the tracks in it."""
         (camera,) = (camera for camera in scene.cameras if camera.name == frame.camera)
-        return cls(frame, Solids.at(scene, camera, frame.step), scene.vessel_names, tracks)
+        solids = Solids.at(scene, camera, frame.step)
+        return cls(frame, solids, scene.vessel_names, tracks or FrameTracks.of(None, scene, frame))
 
     @property
     def image_size_px(self) -> tuple[int, int]:
@@ -171,7 +164,7 @@ class CameraView:
 
     def colour(self, vessel: str) -> Colour:
         """The colour of a vessel by its name."""
-        return palette.vessel_colour(self.vessels.index(vessel))
+        return vessel_colour(self.vessels.index(vessel), self.solids.own_ships)
 
 
 def frame_picture(
@@ -213,18 +206,22 @@ def frame_picture(
     if layers.wires or layers.points:
         _draw_shoeboxes(canvas, window, solids, layers)
     labels = _draw_truth(canvas, window, camera_view, layers) + _draw_detections(canvas, window, camera_view, layers)
+    if layers.numbers:
+        for name, box in zip(camera_view.frame.truth.vessels, camera_view.frame.truth.visible_boxes_px, strict=True):
+            if not np.isnan(box).any():
+                number = f"{camera_view.vessels.index(name) + 1}"
+                labels.append(Label(window.corners(box), number, camera_view.colour(name), vessel=name))
     if layers.tracks:
-        labels = draw_tracks(canvas, window, camera_view.tracks) + labels
+        labels = draw_tracks(canvas, window, camera_view.tracks, solids.own_ships) + labels
     frame = camera_view.frame
     seen = frame.truth.visible_boxes_px[~np.isnan(frame.truth.visible_boxes_px).any(axis=1)]
-    boxes = [window.corners(box) for box in (*seen, *frame.detections.boxes_px)] + [*keep_clear]
-    draw_labels(canvas, sorted(filter(wanted, labels), key=lambda label: label.colour != palette.ALARM), boxes)
+    draw_labels(canvas, [*filter(wanted, labels)], [*map(window.corners, seen), *keep_clear])
     return picture
 
 
 def _draw_shoeboxes(canvas: Canvas, window: Window, solids: Solids, layers: Layers) -> None:
     for vessel, edges, corners in solids.shoeboxes():
-        colour = palette.vessel_colour(vessel)
+        colour = vessel_colour(vessel, solids.own_ships)
         if layers.wires:
             canvas.segments(window.to_picture(edges), colour, 0.75)
         if layers.points:
@@ -249,7 +246,7 @@ def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers:
             canvas.brackets(window.corners(truth.boxes_px[i]), palette.ALARM, 1.5)
             if layers.labels:
                 text = ", ".join(filter(None, (f"missed {truth.vessels[i]}", share and f"{share} seen")))
-                labels.append(_worded(full, text, "missed", palette.ALARM, narrow, truth.vessels[i], below=True))
+                labels.append(_worded(full, text, "missed", palette.ALARM, narrow, truth.vessels[i]))
                 continue
         if share:
             text = f"{truth.vessels[i]}, {share} seen"
@@ -291,7 +288,9 @@ def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, la
             text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {confidence}"
             text += f", {is_a(frame.truth.labels[row])}" if row is not None and mislabelled else ""
             vessel = None if row is None else frame.truth.vessels[row]
-            labels.append(_worded(box, text, confidence, palette.ALARM if mislabelled else colour, narrow, vessel))
+            # At the vessel and not at the box, whose errors would make it jump from frame to frame.
+            place = box if row is None else window.corners(frame.truth.full_boxes_px[row])
+            labels.append(_worded(place, text, confidence, palette.ALARM if mislabelled else colour, narrow, vessel))
     return labels[::-1]
 
 

@@ -69,19 +69,20 @@ def ids_picture(
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
     for occluder in np.unique(solids.occluders).tolist():
         if occluder + 1 < len(table):
-            table[occluder + 1] = palette.owner_colour(occluder, vessels)
+            table[occluder + 1] = palette.owner_colour(occluder, vessels, solids.own_ships)
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))
     canvas = Canvas(picture, nominal_width_px)
     hatch_hidden(picture, window, solids, ids, canvas.unit)
-    _mark(canvas, shown, left, top, vessels)
+    _mark(canvas, shown, left, top, solids)
     return picture
 
 
-def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int) -> None:
+def _mark(canvas: Canvas, ids: Ids, left: int, top: int, solids: Solids) -> None:
     """Write each vessel's number and each obstacle's letter on what is seen of it, or beside it."""
     size = max(9, round(canvas.text_px * 0.9))
+    vessels = len(solids.extents_m)
     boxes: list[Box] = []
     beside: list[Label] = []
     for value in np.unique(ids[ids > 0]).tolist():
@@ -94,7 +95,7 @@ def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int) -> None:
         columns = np.flatnonzero(here[int(np.argmax(by_row))])
         x0, y0, x1, y1 = text_size(text, size)
         if len(columns) < x1 - x0 + 4 or by_column.max() < y1 - y0 + 4:
-            beside.append(Label(boxes[-1], text, palette.owner_colour(index, vessels)))
+            beside.append(Label(boxes[-1], text, palette.owner_colour(index, vessels, solids.own_ships)))
             continue
         x = left + int(columns[len(columns) // 2])
         middle = np.flatnonzero(here[:, x - left])

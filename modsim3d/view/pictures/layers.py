@@ -12,7 +12,24 @@ from modsim3d.runs.frames import Frame, detected_rows
 
 
 @dataclass(frozen=True)
-class Layers:
+class NamedLayers:
+    """Layers that are drawn or not, by name: the fields of a dataclass."""
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Self:
+        """Layers by their names; raises ModsimError if one has no such name."""
+        known, asked = [entry.name for entry in fields(cls)], list(names)
+        if unknown := [name for name in asked if name not in known]:
+            raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
+        return cls(**dict.fromkeys(asked, True))
+
+    def without(self, *names: str) -> Self:
+        """The others of these layers."""
+        return replace(self, **dict.fromkeys(names, False))
+
+
+@dataclass(frozen=True)
+class Layers(NamedLayers):
     """The layers that are drawn, the first at the bottom."""
 
     horizon: bool = False  # a line between sea and sky
@@ -29,29 +46,30 @@ class Layers:
     detections: bool = False  # of vessels
     mistakes: bool = False  # marks of detections of a wrong class or with a bad box
     tracks: bool = False  # of a tracker, where there are some: boxes, numbers, and where their centres have been
+    numbers: bool = False  # of vessels, as in the legend
     labels: bool = False  # class and confidence of detections, and the names of missed vessels
 
-    @classmethod
-    def of(cls, names: Iterable[str]) -> Layers:
-        """Layers by their names; raises ModsimError if one has no such name."""
-        known, asked = [entry.name for entry in fields(cls)], list(names)
-        if unknown := [name for name in asked if name not in known]:
-            raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
-        return cls(**dict.fromkeys(asked, True))
 
-    def without(self, *names: str) -> Self:
-        """The others of these layers."""
-        return replace(self, **dict.fromkeys(names, False))
+@dataclass(frozen=True)
+class MapLayers(NamedLayers):
+    """Layers that are drawn on a map beside what is there."""
+
+    vectors: bool = False  # where each vessel is after six minutes at her course and speed
+    cpa: bool = False  # closest points of approach to own ship within these six minutes
+    detections: bool = False  # bearings of the detections from the cameras
+    tracks: bool = False  # bearings of the tracks of a tracker, where there are some, and their numbers
+    nm: bool = False  # range rings in nautical miles
+    cables: bool = False  # range rings in cables, a tenth of a nautical mile
 
 
 CORNERS = Layers.of(["horizon", "wires", "points"])
 SCENE = Layers.of(["horizon", "silhouettes"])
 TRUTH = ("full", "visible", "truth", "fractions", "missed")
+NO_LAYERS = MapLayers()
+MAP, PLAN = MapLayers.of(["vectors", "cpa"]), MapLayers.of(["vectors", "cpa", "detections", "tracks"])
 DETECTIONS = Layers.of(
     ["horizon", "silhouettes", *TRUTH, "false_positives", "detections", "mistakes", "tracks", "labels"]
 )
-
-# ---- Words for a detection, and for the detector, in pictures and recordings ----
 
 NAMES = {
     Outcome.FALSE_POSITIVE: "false positive",

@@ -48,25 +48,27 @@ def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str
 def _track_entries(tracker: str | None) -> list[LegendEntry]:
     if tracker is None:
         return []
-    own = f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s"
+    first = palette.VESSELS[0]
     return [
-        LegendEntry(own, palette.TRACKS[0], "track"),
-        LegendEntry("on a vessel that is hidden or not annotated", palette.TRACKS[0], "dashed"),
+        LegendEntry(f"# track of {tracker}, in its vessel's colour, with its last {TRAIL_S:g} s", first, "track"),
+        LegendEntry("on a vessel that is hidden or not annotated", first, "dashed"),
         LegendEntry("on nothing", palette.ALARM, "dashed"),
     ]
 
 
-def vessel_entries(names: Mapping[int, str]) -> list[LegendEntry]:
+def vessel_entries(names: Mapping[int, str], own_ships: Sequence[int] = ()) -> list[LegendEntry]:
     """The legend of vessels, by their indices in the scene."""
-    return [LegendEntry(f"{i + 1}: {name}", palette.vessel_colour(i), "filled") for i, name in names.items()]
+    return [LegendEntry(f"{i + 1}: {name}", palette.vessel_colour(i, own_ships), "filled") for i, name in names.items()]
 
 
-def id_entries(vessels: Mapping[int, str], obstacles: Sequence[str]) -> list[LegendEntry]:
+def id_entries(
+    vessels: Mapping[int, str], obstacles: Sequence[str], own_ships: Sequence[int] = ()
+) -> list[LegendEntry]:
     """The legend of an ID map with these vessels, by their indices in the scene, and obstacles."""
     land = [
         LegendEntry(f"{letters(i)}: {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)
     ]
-    return [*vessel_entries(vessels), *land, LegendEntry("hidden", palette.VESSELS[0], "hatched")]
+    return [*vessel_entries(vessels, own_ships), *land, LegendEntry("hidden", palette.VESSELS[0], "hatched")]
 
 
 def letters(index: int) -> str:

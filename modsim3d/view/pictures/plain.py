@@ -41,6 +41,7 @@ class Solids:
     outlines: Outlines  # a row for each solid before the camera
     extents_m: Array  # length, beam and air draft of all vessels, shape (V, 3)
     sea_half_plane: Array  # the side of the horizon on which the sea lies, shape (3,)
+    own_ships: tuple[int, ...]  # indices of the vessels that carry cameras
     waves: Sea | None = None  # of the scene
     time_s: float = 0.0  # since the scene's first step
 
@@ -50,8 +51,8 @@ class Solids:
         sight = scene.sight(camera, np.array([step]))
         extents_m = np.array([vessel.extents_m for vessel in scene.vessels]).reshape(-1, 3)
         (sea,) = scene.sea_half_planes(camera, np.array([step]))
-        waves = scene.waves.sea if scene.waves else None
-        return cls(sight, camera, sight.outlines(), extents_m, sea, waves, float(scene.times_s(step, step + 1)[0]))
+        waves, time_s = scene.waves.sea if scene.waves else None, float(scene.times_s(step, step + 1)[0])
+        return cls(sight, camera, sight.outlines(), extents_m, sea, scene.own_ships, waves, time_s)
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -215,8 +216,7 @@ def fill_solids(
     if not region.width or not region.height:
         return
     faces = solids.faces(window, id_renderer, region, samples)
-    vessels = len(solids.extents_m)
-    colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()])[triangles.row]
+    colours = np.array([occluder_colour(occluder, solids) for occluder in solids.occluders.tolist()])[triangles.row]
     table = np.zeros((len(colours) + 1, 4), dtype=np.uint8)
     table[1:, :3] = colours * (solids.light() * (1 - dim))[:, None]
     place = (region.x, region.y, region.x + region.width, region.y + region.height)
@@ -228,6 +228,7 @@ def fill_solids(
     picture.paste(filled.reduce(samples), place)
 
 
-def occluder_colour(occluder: int, vessels: int) -> Colour:
+def occluder_colour(occluder: int, solids: Solids) -> Colour:
     """The colour of a vessel, or that of obstacles for an index beyond the vessels."""
-    return palette.vessel_colour(occluder) if occluder < vessels else palette.OBSTACLE
+    vessel = occluder < len(solids.extents_m)
+    return palette.vessel_colour(occluder, solids.own_ships) if vessel else palette.OBSTACLE

@@ -171,6 +171,7 @@ class Places:
             "dimensions": [np.round(np.nan_to_num(v.extents_m[:2]), 2).tolist() for v in self._scene.vessels],
             "obstacles": [_rings(shape) for shape in self._land],
             "extent": np.round(self._reach[0], 2).tolist(),
+            "north": self._scene.origin is not None,
         }
 
 
@@ -347,7 +348,7 @@ class _Recorder:
 
 
 def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
-    vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
+    vessels = [palette.vessel_colour(index, scene.own_ships) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     states = palette.state_colours(len(scene.detector.states))
     return {

@@ -66,7 +66,8 @@ def test_layers_are_shown_by_mouse_and_key_silhouettes_in_their_vessels_colour(b
         browser.press(str(number))
         assert np.array_equal(browser.pixels(), everything), name
     rows = "player.recording[name](player.index, player.camera).length"
-    own = browser.run(f"['shapes', 'truths', 'detections'].reduce((sum, name) => sum + {rows}, 0)")
+    # Detections twice: in the image and, by their bearings, on the plan.
+    own = browser.run(f"['shapes', 'truths', 'detections', 'detections'].reduce((sum, name) => sum + {rows}, 0)")
     browser.press("ArrowLeft")
     assert browser.after("ArrowRight", "player.drawn.rows") == own > 0  # a frame looks at its own rows only
     only = "for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole();"

@@ -80,7 +80,10 @@ def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, 
     picture, ids = page_picture(browser, camera, step), owners_buffer(scene, camera, step)
     assert picture.shape[:2] == ids.shape
     vessels, obstacles = range(len(scene.vessels)), range(len(scene.obstacles))
-    colours = [*(palette.darker(palette.vessel_colour(i)) for i in vessels), *map(palette.obstacle_colour, obstacles)]
+    colours = [
+        *(palette.darker(palette.vessel_colour(i, scene.own_ships)) for i in vessels),
+        *map(palette.obstacle_colour, obstacles),
+    ]
     inside = (ids > 0) & (minimum_filter(ids, EDGE_PX) == maximum_filter(ids, EDGE_PX))
     off = np.abs(picture[inside].astype(int) - np.array(colours)[ids[inside] - 1]).max(axis=1)
     # A mast that meets no pixel centre is not in the buffer, and dims a pixel of the page a little.

@@ -10,6 +10,8 @@ import pytest
 from modsim3d import Frame, RunDirectoryError, RunRows, load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import detected_rows
+from modsim3d.view.lights import ground_velocities
+from modsim3d.view.map_marks import _approach
 from modsim3d.view.report import side_by_side
 from modsim3d.view.report.overview import VesselOutcome
 from modsim3d.view.report.recorder import recording
@@ -124,6 +126,20 @@ def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page,
     browser.click("#above", chosen["x"] / box["width"], chosen["y"] / box["height"])
     near = [each["vessel"] for each in placed if abs(each["x"] - chosen["x"]) + abs(each["y"] - chosen["y"]) < 15]
     assert browser.run("player.followed") in near
+
+
+def test_the_closest_approach_to_own_ship_is_that_of_straight_courses(browser, mistaken_page, mistaken_folder):
+    scene = open_run(mistaken_folder).scene
+    here, moves = scene.poses.poses(40, 41).positions_m[0, :, :2], ground_velocities(scene, 40)
+    browser.open(mistaken_page, SIZE, "#step=40")
+    for vessel in (each for each in range(len(scene.vessels)) if each not in scene.own_ships):
+        pair = [scene.own_ships[0], vessel]
+        metres, seconds, _ = _approach(here[pair], moves[pair])
+        browser.run(f"player.above.closest = null; player.followed !== {vessel} && player.choose({vessel})")
+        found = browser.run("player.above.closest")
+        assert (found is not None) == bool(np.isfinite(metres) and seconds > 0)
+        if found:
+            assert found["metres"] == pytest.approx(metres, rel=0.02, abs=1) and found["vessel"] == vessel
 
 
 def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_folder, tmp_path):

@@ -1,6 +1,6 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
-const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
+const VECTOR_S = 360, NM_M = 1852, TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
 
 class Above {
   constructor(canvas, choose) {
@@ -35,8 +35,8 @@ class Above {
     return [this.width / 2 + (x - this.middle[0]) * this.scale, this.height / 2 - (y - this.middle[1]) * this.scale];
   }
 
-  // `shown` are the cameras whose images are on the page.
-  draw(recording, shown, index, chosen) {
+  // `shown` are the cameras whose images are on the page, `layers` what is shown in them.
+  draw(recording, shown, index, chosen, layers) {
     const { context } = this, { facts } = recording, { vessels, cameras } = recording.places(index);
     this.canvas.hidden = facts.extent.flat().every((side) => side === 0); // of a labelled video no place is known
     this.names = facts.vessels.map(({ name }) => name);
@@ -46,12 +46,64 @@ class Above {
     context.fillRect(0, 0, this.width, this.height);
     for (const camera of new Set(shown)) if (cameras[camera]) this.view(cameras[camera]);
     facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
+    for (const camera of new Set(shown)) if (cameras[camera]) this.bearings(recording, index, camera, cameras[camera], layers);
     this.trails(recording, index, facts);
+    this.courses(recording, index, vessels, facts, chosen);
     this.placed = [];
     const draw = (vessel) => vessels[vessel] && this.vessel(vessels[vessel], vessel, facts, vessel === chosen);
     for (const vessel of vessels.keys()) if (vessel !== chosen) draw(vessel);
     if (chosen !== null) draw(chosen); // over the others, with its name
     this.scaleBar();
+    if (facts.north) this.name('N ↑', this.width - 16, 16);
+  }
+
+  // The bearings of what the detector put out and of tracks, from the middle of the lower edge of each box. Exact where the
+  // image is flat; a lens that distorts bends it by less than its distortion.
+  bearings(recording, index, camera, { x, y, yaw, fov }, layers) {
+    const { context } = this, { facts } = recording, [wide] = facts.cameras[camera].size, focal = wide / 2 / Math.tan(fov / 2);
+    const drawn = layers.detections || layers.false ? recording.detections(index, camera) : [];
+    const found = drawn.filter((each) => layers[each.false ? 'false' : 'detections']).map(({ box, vessel, false: nobody }) => ({ box, vessel: nobody ? null : vessel, dash: [2, 4] }));
+    const tracks = facts.tracks && layers.tracks ? recording.tracks(index, camera).map(({ box, vessel }) => ({ box, vessel, dash: [] })) : [];
+    const from = this.toCanvas(x, y);
+    for (const { box, vessel, dash } of [...found, ...tracks].filter((each) => each.box)) {
+      const bearing = yaw + Math.atan((wide / 2 - (box[0] + box[2]) / 2) / focal);
+      const to = [from[0] + VIEW_PX * Math.cos(bearing), from[1] - VIEW_PX * Math.sin(bearing)];
+      this.line(from, to, vessel === null ? facts.colours.alarm : facts.colours.vessels[vessel], { dash, alpha: 0.6 });
+    }
+  }
+
+  // Where each vessel is after six minutes on her course, and how close the chosen one then comes to own ship.
+  courses(recording, index, vessels, facts, chosen) {
+    const [before, after] = [index - 1, index + 1].map((step) => (step >= 0 && step < facts.steps.length && recording.ready(step) ? step : index));
+    const seconds = facts.times[after] - facts.times[before];
+    if (!(seconds > 0)) return;
+    const [then, next] = [before, after].map((step) => recording.places(step).vessels);
+    const moves = vessels.map((place, i) => (place && then[i] && next[i] ? [(next[i].x - then[i].x) / seconds, (next[i].y - then[i].y) / seconds] : null));
+    const at = (i, s) => this.toCanvas(vessels[i].x + s * moves[i][0], vessels[i].y + s * moves[i][1]);
+    moves.forEach((move, i) => { if (move) this.line(at(i, 0), at(i, VECTOR_S), facts.colours.vessels[i]); });
+    const carriers = facts.cameras.map((camera) => camera.carrier), own = facts.vessels.findIndex(({ name }) => carriers.includes(name));
+    if (chosen === null || own < 0 || own === chosen || !moves[own] || !moves[chosen]) return;
+    const apart = [vessels[chosen].x - vessels[own].x, vessels[chosen].y - vessels[own].y];
+    const closing = [moves[chosen][0] - moves[own][0], moves[chosen][1] - moves[own][1]], speed2 = closing[0] ** 2 + closing[1] ** 2;
+    const left = -(apart[0] * closing[0] + apart[1] * closing[1]) / speed2;
+    if (!(left > 0)) return;
+    const metres = Math.hypot(apart[0] + left * closing[0], apart[1] + left * closing[1]);
+    this.closest = { vessel: chosen, metres, seconds: left };
+    const [one, other] = [at(own, left), at(chosen, left)];
+    this.line(one, other, colourOf('--ink'), { width: 2 });
+    this.name(`CPA ${metres.toFixed(0)} m (${(metres / NM_M).toFixed(2)} nm) in ${(left / 60).toFixed(1)} min`, this.width / 2, 16);
+  }
+
+  line(from, to, colour, { dash = [], alpha = 1, width = 1.2 } = {}) {
+    const { context } = this;
+    context.beginPath();
+    context.moveTo(...from);
+    context.lineTo(...to);
+    context.setLineDash(dash);
+    Object.assign(context, { strokeStyle: colour, lineWidth: width, globalAlpha: alpha });
+    context.stroke();
+    context.setLineDash([]);
+    context.globalAlpha = 1;
   }
 
   // What the image covers, and the camera in its corner.

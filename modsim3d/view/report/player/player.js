@@ -247,7 +247,7 @@ class Player {
     const started = performance.now(), { recording, index, pane, stage } = this;
     recording.rowsRead = 0;
     const frame = stage.draw(index, this), close = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm, this.playing);
-    this.above.draw(recording, this.panes.map((each) => each.camera), index, this.followed);
+    this.above.draw(recording, this.panes.map((each) => each.camera), index, this.followed, this.shown);
     this.list.show(frame, pane.facts.carrier, this.playing, stage.otherFrame);
     this.list.mark(close.vessel, this.followed);
     this.numbers.show(frame);

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.boxes import areas
 from modsim3d.tracking.scores.scored import Scored, frame_lengths_s
 
 WINDOW_S = 5.0  # as long as a look at what happens in a film
@@ -27,8 +28,7 @@ class Mistakes:
     seconds: Array  # what it counts, shape (n,)
     boxes_px: Array  # of the vessel, or of the track that follows nothing, shape (n, 4)
     vessel: Indices  # its index, `NOBODY` of a track that follows nothing, shape (n,)
-    before: Indices  # number of the track that followed the vessel before a switch, else `NOBODY`, shape (n,)
-    after: Indices  # number of the track that does so from the switch on, else `NOBODY`, shape (n,)
+    track: Indices  # number of the track that follows nothing, else `NOBODY`, shape (n,)
 
     @classmethod
     def of(cls, scored: Scored) -> Mistakes:
@@ -37,28 +37,23 @@ class Mistakes:
         truth, tracks = following.truth, following.tracks
         lost = truth_rows[~following.found[truth_rows]]
         false = scored.track_rows[following.false[scored.track_rows]]
-        switched, before, after = _switches(scored)
+        switched = _switches(scored)
         frame = np.concatenate([truth.frame[lost], tracks.frame[false], truth.frame[switched]])
         seconds = frame_lengths_s(scored.rows, frame)
         seconds[: len(lost)][_new(scored)[lost]] = 0
         seconds[len(lost) + len(false) :] = WINDOW_S
-        nobody = np.full(len(lost) + len(false), NOBODY)
+        nobody, nothing = np.full(len(false), NOBODY), np.full(len(lost), NOBODY)
         every = cls(
             np.repeat([LOST, FALSE, SWITCHED], [len(lost), len(false), len(switched)]),
             frame,
             seconds,
             np.concatenate([truth.boxes_px[lost], tracks.boxes_px[false], truth.boxes_px[switched]]),
-            np.concatenate([truth.vessel[lost], nobody[: len(false)], truth.vessel[switched]]),
-            np.concatenate([nobody, before]),
-            np.concatenate([nobody, after]),
+            np.concatenate([truth.vessel[lost], nobody, truth.vessel[switched]]),
+            np.concatenate([nothing, tracks.track[false], np.full(len(switched), NOBODY)]),
         )
         return every._take(np.argsort(frame, kind="stable"))
 
-    def in_frame(self, frame: int) -> Mistakes:
-        """Mistakes in one frame, by its number."""
-        return self._take(np.flatnonzero(self.frame == frame))
-
-    def _take(self, rows: Indices) -> Mistakes:
+    def _take(self, rows: Indices | Mask) -> Mistakes:
         return Mistakes(**{name: column[rows] for name, column in vars(self).items()})
 
 
@@ -73,15 +68,14 @@ def _new(scored: Scored) -> Mask:
     return np.less(time_s, until_s[truth.identity] - 1e-6)
 
 
-def _switches(scored: Scored) -> tuple[Indices, Indices, Indices]:
-    """Rows of the matching's vessels at which an appearance is followed by another track than last; the number of the
-    last track, and that of the other one, each of shape (s,)."""
+def _switches(scored: Scored) -> Indices:
+    """Rows of the matching's vessels at which an appearance is followed by another track than last, shape (s,)."""
     truth, tracks, (rows, track_rows) = scored.following.truth, scored.following.tracks, scored.pairs
     order = np.lexsort((truth.frame[rows], truth.identity[rows]))
     rows, track_rows = rows[order], track_rows[order]
     switched = (np.diff(truth.identity[rows]) == 0) & (np.diff(tracks.identity[track_rows]) != 0)
-    number = tracks.track[track_rows]
-    return rows[1:][switched], number[:-1][switched], number[1:][switched]
+    found: Indices = rows[1:][switched]
+    return found
 
 
 def worst_moment_s(scored: Scored) -> float | None:
@@ -102,19 +96,13 @@ def worst_moment_s(scored: Scored) -> float | None:
     return float(scored.rows.scene.timestamps(step, step + 1)[0])
 
 
-def step_at(scored: Scored, moment_s: float) -> int:
-    """The step nearest to a moment, as timestamps have it."""
-    start_s = float(scored.rows.scene.timestamps(0, 1)[0])
-    return int(np.argmin(np.abs(scored.times_s + start_s - moment_s)))
-
-
-def worst_frame(scored: Scored, mistakes: Mistakes, moment_s: float) -> int:
-    """Number of the frame with most mistakes at a moment; where there are none, of the last frame before it."""
-    step, cameras = step_at(scored, moment_s), scored.by_step
-    here = mistakes.frame[mistakes.frame // cameras == step]
-    if not len(here):
-        taken = scored.rows.frames[scored.rows.frames // cameras <= step]
-        return int(taken[-1]) if len(taken) else NOBODY
-    frames, place = np.unique(here, return_inverse=True)
-    seconds = np.bincount(place, mistakes.seconds[mistakes.frame // cameras == step])
-    return int(frames[int(np.argmax(seconds))])
+def worst_mistake(scored: Scored, moment_s: float) -> Mistakes:
+    """The mistake to look at, of those at the step nearest to a moment that has some: in the frame with most of them a
+    switch rather than a vessel that is lost, and that rather than a track on nothing; of those the largest box."""
+    mistakes = Mistakes.of(scored)
+    steps, start_s = mistakes.frame // scored.by_step, float(scored.rows.scene.timestamps(0, 1)[0])
+    near = steps == steps[np.argmin(np.abs(scored.times_s[steps] + start_s - moment_s))]
+    frames, place = np.unique(mistakes.frame[near], return_inverse=True)
+    here = mistakes._take(mistakes.frame == frames[np.argmax(np.bincount(place, mistakes.seconds[near]))])
+    rank = np.array([1, 0, 2])[here.kind]
+    return here._take(np.lexsort((areas(here.boxes_px), rank))[-1:])

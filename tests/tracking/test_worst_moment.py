@@ -1,7 +1,7 @@
 """The moment at which a run went wrong, on hand-made truth and tracks."""
 
-from modsim3d.campaign.work.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_frame, worst_moment_s
 from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_mistake, worst_moment_s
 from tests.tracking.hand_made import box, hand_made
 
 STEPS = 40
@@ -52,7 +52,7 @@ def test_an_identity_switch_is_found_among_short_losses() -> None:
     assert worst_moment_s(scored) == 30.0
     mistakes = Mistakes.of(scored)
     assert mistakes.kind.tolist() == [LOST, LOST, SWITCHED]
-    assert (mistakes.before[-1], mistakes.after[-1], mistakes.vessel[-1]) == (0, 50, 0)
+    assert mistakes.vessel.tolist() == [1, 1, 0]
 
 
 def test_a_track_on_nothing_is_a_mistake_in_the_camera_that_has_it() -> None:
@@ -62,6 +62,6 @@ def test_a_track_on_nothing_is_a_mistake_in_the_camera_that_has_it() -> None:
     scored = hand_made(truth, tracks + false, STEPS, cameras=2)
     assert worst_moment_s(scored) == 31.0
     mistakes = Mistakes.of(scored)
-    assert mistakes.kind.tolist() == [FALSE] * 3
-    assert worst_frame(scored, mistakes, 31.0) == 2 * 31 + 1
-    assert worst_frame(scored, mistakes, 12.0) == 2 * 12 + 1  # nothing is wrong there
+    assert mistakes.kind.tolist() == [FALSE] * 3 and mistakes.track.tolist() == [7] * 3
+    assert worst_mistake(scored, 31.0).frame.tolist() == [2 * 31 + 1]
+    assert worst_mistake(scored, 12.0).frame.tolist() == [2 * 30 + 1]  # the nearest at which something is wrong
