@@ -39,9 +39,7 @@ def problems_of(folder: Path, **keys: Any) -> tuple[str, ...]:
     return refused.value.problems
 
 
-def run_campaign_file(
-    folder: Path, name: str = "campaign.yaml", cache: Path | None = None, **keys: Any
-) -> CampaignResult:
+def run_campaign_file(folder: Path, name="campaign.yaml", cache: Path | None = None, **keys: Any) -> CampaignResult:
     """A checked campaign, run into the folder of the file's name."""
     result = run_plan(checked_campaign(folder, name, **keys), folder / Path(name).stem, ThisProcess, cache=cache)
     assert result is not None

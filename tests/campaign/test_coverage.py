@@ -36,16 +36,10 @@ def rows_of(path: Path, steps: int | None = None, **settings: Any) -> RunRows:
 @pytest.fixture(scope="module")
 def own_ship(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Own ship runs along w1 at 5 m/s for 100 s; one vessel meets her in each way, and one stays far away."""
-    boats = {
-        "own": (BOAT, [[0, 0, 0], [100, 500, 0]]),
-        "ahead": (BOAT, [[0, 800, 30], [100, 300, 30]]),
-        "starboard": (BOAT, [[0, 330, -260], [100, 330, 240]]),
-        "port": (BOAT, [[0, 300, 250], [100, 300, -250]]),
-        "slow": (BOAT, [[0, 150, 60], [100, 250, 60]]),
-        "fast": (BOAT, [[0, -200, -60], [100, 800, -60]]),
-        "far": (BOAT, [[0, 260, 2200], [100, 240, 2200]]),
-        "leaving": (BOAT, [[0, -20, -90], [100, -400, -90]]),
-    }
+    legs = {"own": ([0, 0], [500, 0]), "ahead": ([800, 30], [300, 30]), "starboard": ([330, -260], [330, 240])}
+    legs |= {"port": ([300, 250], [300, -250]), "slow": ([150, 60], [250, 60]), "fast": ([-200, -60], [800, -60])}
+    legs |= {"far": ([260, 2200], [240, 2200]), "leaving": ([-20, -90], [-400, -90])}
+    boats = {name: (BOAT, [[0, *first], [100, *last]]) for name, (first, last) in legs.items()}
     return write_scene(tmp_path_factory.mktemp("own_ship"), boats, 101, **KEYS)
 
 

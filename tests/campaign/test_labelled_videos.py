@@ -48,10 +48,10 @@ def test_a_run_of_labels_is_a_scene_of_a_campaign_and_wrong_labels_are_named(tmp
     write(tmp_path / "wrong.json", wrong)
     options = {"detector": "coastal", "labels": ("boat",), "frame_rate_hz": 5, "horizon": 150}
     run = modsim3d.detect_truth(tmp_path / "many.json", tmp_path / "run", **options).folder
-    whole = modsim3d.run_campaign(
-        campaign(tmp_path, scenes=["run"], seeds={"detector": 2}), tmp_path / "out", workers=1
-    )
+    over_run = campaign(tmp_path, scenes=["run"], seeds={"detector": 2})
+    whole = modsim3d.run_campaign(over_run, tmp_path / "out", workers=1)
     assert [row["frames"] for row in whole.table.to_pylist()] == [sum(FILMS.values())] * 2
+    flat = {**LABELS, "detector": "rich", "labels": ["sailboat"], "horizon": None}
     assert json.loads((run / "run.json").read_text())["cameras"] == sorted(FILMS)
     for labels, said in (
         ({"truth": "none.json", "detector": "coastal"}, "scenes: none.json.*no such file"),
@@ -62,15 +62,11 @@ def test_a_run_of_labels_is_a_scene_of_a_campaign_and_wrong_labels_are_named(tmp
         ({"truth": "many.json", "detector": "coastal", "horizon": [1, 2]}, "horizon: a row, or x and y of two"),
         ({**LABELS, "confidence_scale": [1, 1]}, "confidence_scale: must be two numbers that rise"),
         ({"truth": "wrong.json", "detector": "coastal"}, "wrong.json.*skip_bad: true leaves all such entries out"),
+        (flat, "give horizon: ROW, or .*with detector.false_positives.placement: uniform d"),
     ):
         with pytest.raises(ModsimError, match=f"(?s){said}") as error:
             modsim3d.run_campaign(campaign(tmp_path, scenes=[labels]), tmp_path / "bad", workers=1)
         assert "--" not in str(error.value)
-    flat = {**LABELS, "detector": "rich", "labels": ["sailboat"], "horizon": None}
-    with pytest.raises(
-        ModsimError, match=r"give horizon: ROW, or .*with detector.false_positives.placement: uniform d"
-    ):
-        modsim3d.run_campaign(campaign(tmp_path, scenes=[flat]), tmp_path / "bad", workers=1)
     parts = ("false_positives.band_px", "false_positives.far_half_px", "gates.max_range_m", "dropout.distance_m")
     settings = {"detector.false_positives.placement": "uniform"} | dict.fromkeys(f"detector.{part}" for part in parts)
     planned = checked(read_campaign(campaign(tmp_path, scenes=[flat], set=settings)))

@@ -21,12 +21,9 @@ def approach(in_view_m=2000, closest_m=100, known_m=1000, one_track_m=1000, leng
     return dict(locals())
 
 
-def table(seeds, crashed=()):
-    return table_of_runs([{"approaches": json.dumps(each)} for each in seeds], crashed)
-
-
 def verdict(seeds, crashed=(), planned=None, **keys):
-    (found,) = judged(plan_of(planned or len(seeds), [KNOWN | keys]), table(seeds, crashed))
+    table = table_of_runs([{"approaches": json.dumps(each)} for each in seeds], crashed)
+    (found,) = judged(plan_of(planned or len(seeds), [KNOWN | keys]), table)
     return found
 
 
@@ -36,17 +33,13 @@ def test_only_vessels_of_the_kind_that_were_in_view_beyond_and_came_so_near_coun
     others = [approach(length_m=7.9), approach(length_m=15), approach(label="ship")]
     found = verdict([counted + apart + others])
     assert found.text == "boat of 8 to 15 m known at 900 m, in 80 % of approaches" and found.estimate == 2 / 3
-    assert (
-        "2 of 3 approaches are known at 900 m (2 appeared nearer, 1 never came so near); mean of 1 traffic" in found.why
-    )
+    near, far = "2 of 3 approaches are known at 900 m", "(2 appeared nearer, 1 never came so near); mean of 1 traffic"
+    assert f"{near} {far}" in found.why
     every = verdict([counted + apart + others], of={})
     assert every.estimate == 5 / 6 and "vessels known at 900 m" in every.text
-    assert (
-        verdict([[approach(one_track_m=0)]]).estimate
-        == 0
-        == 1 - verdict([[approach(one_track_m=0)]], one_track=False).estimate
-    )
-    assert verdict([[approach()], [approach(one_track_m=0)] * 3]).estimate == 0.5  # each seed counts as much
+    lost = [approach(one_track_m=0)]
+    assert (verdict([lost]).estimate, verdict([lost], one_track=False).estimate) == (0, 1)
+    assert verdict([[approach()], lost * 3]).estimate == 0.5  # each seed counts as much
     nothing = verdict([[], [approach(in_view_m=20)]])
     assert (nothing.outcome, nothing.estimate, nothing.low) == ("undecided", None, None)
 
@@ -101,22 +94,17 @@ def test_a_wrong_lookout_requirement_is_refused_with_what_is_wrong(tmp_path: Pat
     assert any(said in problem for problem in problems_of(tmp_path, **given))
 
 
-def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other_plans_are_as_they_were(
-    tmp_path,
-) -> None:
+def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other_plans_are_as_they_were(tmp_path):
     keys = {"scene": "small_target", "steps": 24, "trackers": ["reference"]}
-    require = [
-        {"known_at_m": 1250, "share": 0.5, "where": {"state": "haze"}},
-        {"score": "hota", "at_least": 0.1, "in": 0.5},
-    ]
+    require = [{"known_at_m": 1250, "share": 0.5, "where": {"state": "haze"}}]
+    require.append({"score": "hota", "at_least": 0.1, "in": 0.5})
     done = run_campaign_file(tmp_path, **keys, vary=[{"grid": {"state": ["clear", "haze"]}}], require=require)
     approaches = [each for text in done.table["approaches"].to_pylist() for each in json.loads(text)]
     targets = [(each["own_ship"], each["vessel"], each["length_m"]) for each in approaches]
     assert targets == [("own", f"target_{index}", 1.5) for index in (1, 2, 3)] * 2
     assert all(1300 < each["in_view_m"] < 1510 and each["closest_m"] < 1350 for each in approaches)
-    assert [each.outcome for each in done.verdicts] == ["undecided"] * 3 and done.verdicts[0].values == {
-        "state": "haze"
-    }
+    assert [each.outcome for each in done.verdicts] == ["undecided"] * 3
+    assert done.verdicts[0].values == {"state": "haze"}
     page = campaign_page(done.folder, done.table, done.verdicts)
     assert "From where on vessels are known" in page and "vessels known at 1250 m, in 50 % of approaches" in page
     assert page.count("<title>Vessels of ") + page.count('aria-label="Vessels of 0 to 8 m"') == 1
@@ -127,28 +115,13 @@ def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other
 
 
 def test_scores_of_closest_approaches_and_trajectories_in_the_world_can_be_required() -> None:
-    seen = {
-        "vessels": 9,
-        "cpa_in_view": 4,
-        "cpa_predicted": 3,
-        "cpa_right_share": 0.75,
-        "cpa_error_m": 30.0,
-        "ospa2_m": 9.0,
-    }
+    seen = {"vessels": 9, "cpa_in_view": 4, "cpa_predicted": 3}
+    seen |= {"cpa_right_share": 0.75, "cpa_error_m": 30.0, "ospa2_m": 9.0}
     blind = {**seen, "cpa_predicted": 0, "cpa_right_share": 0.0, "cpa_error_m": None, "ospa2_m": 50.0}
-    empty = {
-        "vessels": 9,
-        "cpa_in_view": 0,
-        "cpa_predicted": 0,
-        "cpa_right_share": None,
-        "cpa_error_m": None,
-        "ospa2_m": 9.0,
-    }
-    require = [
-        {"score": "cpa_right_share", "at_least": 0.7, "in": 0.5},
-        {"score": "cpa_error_m", "at_most": 50, "in": 0.5, "resting_on": 0.5},
-        {"score": "ospa2_m", "at_most": 10, "in": 0.5},
-    ]
+    empty = {**blind, "cpa_in_view": 0, "cpa_right_share": None, "ospa2_m": 9.0}
+    limits = {"cpa_right_share": {"at_least": 0.7}, "cpa_error_m": {"at_most": 50, "resting_on": 0.5}}
+    limits |= {"ospa2_m": {"at_most": 10}}
+    require = [{"score": score, "in": 0.5, **limit} for score, limit in limits.items()]
     found = judged(plan_of(20, require), table_of_runs([seen] * 15 + [blind, empty, empty, empty, empty]))
     assert [each.outcome for each in found] == ["met"] * 3
     assert [each.undefined for each in found] == [4, 4, 0]  # no encounter was in view: nobody's fault

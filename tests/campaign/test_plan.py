@@ -23,8 +23,7 @@ def test_conditions_are_all_combinations_the_last_factor_changing_first() -> Non
     assert values[2]["state"] == "haze" and values[2]["detector.a"] == 2
     assert plan.parameters == ("waves.level", "detector.a", "state", "tracker.lost_s", "sea")
 
-
-def test_each_key_belongs_to_the_first_layer_that_it_changes() -> None:
+    # Each key belongs to the first layer that it changes.
     keys = {"waves.level": "small", "detector.x": 1, "state": "haze", "from": "d", "tracker.lost_s": 3}
     (condition,) = plan_of(vary=[{"list": [keys]}]).conditions
     assert (condition.of_truth(), condition.of_tracker()) == ({"waves.level": "small"}, {"lost_s": 3})

@@ -114,10 +114,8 @@ def test_no_spread_is_taken_from_a_search_and_an_earlier_campaign_that_is_not_th
     earlier = checked_campaign(tmp_path, "search.yaml", **keys, trackers=["reference"], search=search)
     planned(earlier, tmp_path / "search")
     file = campaign_file(tmp_path, "next.yaml", **CAMPAIGN)
-    for options, said in (
-        ([file, "--like", tmp_path / "search"], "holds a search"),
-        ([tmp_path / "search.yaml"], "a search has no requirements"),
-        ([file, "--like", "nowhere"], "nowhere"),
-    ):
+    like = "--like", tmp_path / "search"
+    refused = ([file, *like], "holds a search"), ([tmp_path / "search.yaml"], "a search has no requirements")
+    for options, said in (*refused, ([file, "--like", "nowhere"], "nowhere")):
         told = modsim3d("campaign", "plan", *options)
         assert told.status == 2 and said in told.err

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt,
 from tests.campaign.engines.campaigns import waited_for
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
 from tests.campaign.one_process import ThisProcess
+from tests.run_folders import run_files
 from tests.scenes import crossing
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
@@ -59,14 +61,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mine = (f'if (program_invocation_short_name == std::string("{name}")) {{ {VERSIONS[name]} }}' for name in VERSIONS)
     program = "#include <errno.h>\n#include <unistd.h>\n" + CPP.replace(LOOP, "\n".join([LOOP, *mine]))
     (made / "tracker.cpp").write_text(program, encoding="utf-8")
-    subprocess.run(
-        ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "tracker.cpp", "-o", "good"], cwd=made, check=True
-    )
+    line = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "tracker.cpp", "-o", "good"]
+    subprocess.run(line, cwd=made, check=True)
     for name in VERSIONS.keys() - {"good"}:
         shutil.copy(made / "good", made / name)
-    trackers = [
-        {"name": name, "command": [f"./{name}"], "timeout_s": 1.5 if name == "stalls" else 60.0} for name in VERSIONS
-    ]
+    limits_s = {name: 1.5 if name == "stalls" else 60.0 for name in VERSIONS}
+    trackers = [{"name": name, "command": [f"./{name}"], "timeout_s": limit_s} for name, limit_s in limits_s.items()]
     scene = crossing(made, 40).name
     keys = {"scene": scene, "set": {"annotation.source": "analytic"}, "seeds": {"traffic": 6}}
     campaign_file(made, **keys, trackers=trackers, require=REQUIRED)
@@ -81,10 +81,8 @@ def run_here(folder: Path, out: str, progress: Any = lambda progress: None) -> m
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
     """What is compared byte for byte: everything but what runs took, the log and locks."""
-    files = [
-        path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(("took", "campaign.log"))
-    ]
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+    files = run_files(folder, "campaign.log")
+    return {name: content for name, content in files.items() if not Path(name).name.startswith("took")}
 
 
 def test_24_runs_killed_interrupted_and_gone_on_with_end_as_if_nothing_had_been(folder: Path) -> None:
@@ -115,10 +113,8 @@ TOOK = ["frame_ms_median", "frame_ms_p99", "frame_ms_max", "peak_memory_mb", "re
 def test_verdicts_on_what_runs_took_stand_apart_and_everything_says_what_went_wrong(folder: Path) -> None:
     campaign = run_here(folder, "whole")
     outcomes = {(each.requirement, each.tracker): each.outcome for each in campaign.verdicts}
-    assert outcomes == {
-        **{(0, "good"): "met", (1, "good"): "met", (1, "leaks"): "failed"},
-        **{(2, "good"): "met", (2, "dies"): "failed"},
-    }
+    of_scores = {(2, "good"): "met", (2, "dies"): "failed"}
+    assert outcomes == {(0, "good"): "met", (1, "good"): "met", (1, "leaks"): "failed", **of_scores}
     apart = json.loads((folder / "whole" / "took_verdicts.json").read_text())
     assert {each["requirement"] for each in apart["verdicts"]} == {0, 1} and apart["repeatable"] is False
     stored = json.loads((folder / "whole" / "verdicts.json").read_text())
@@ -129,14 +125,9 @@ def test_verdicts_on_what_runs_took_stand_apart_and_everything_says_what_went_wr
     assert [row["repeats"] for row in took] == [True, True, None, None, *[None] * 20]
     opened = opened_campaign(folder / "whole")
     page = campaign_page(opened, campaign.table, campaign.verdicts)
-    for said in (
-        "not repeatable",
-        "at frame 37",
-        "Run 0 made twice: good gave the same tracks.",
-        "Run 2 crashed: whether dies gives the same tracks again is not known.",
-        "no answer within 1.5 s",
-    ):
-        assert said in page
+    on_page = "not repeatable", "at frame 37", "Run 0 made twice: good gave the same tracks.", "no answer within 1.5 s"
+    assert all(said in page for said in on_page)
+    assert "Run 2 crashed: whether dies gives the same tracks again is not known." in page
     listed = json.loads((folder / "whole" / "results" / "_files.json").read_text())["files"]
     assert not [name for name in listed if "took" in name]
     (folder / "whole" / "took.parquet").unlink()
@@ -185,37 +176,29 @@ def test_a_file_that_a_program_writes_is_none_of_its_own(tmp_path: Path) -> None
     assert [each[:12] for each in said] == ["trackers[0]:", "trackers[1]:"]
 
 
-@pytest.mark.parametrize(
-    ("trackers", "more", "said"),
-    [
-        ([{"tracker": "sort", "command": ["./x"]}], {}, "trackers[0]: give either tracker, a name, or command"),
-        ([{"name": "x"}], {}, "trackers[0]: give either tracker, a name, or command"),
-        ([{"command": []}], {}, "trackers[0].command: "),
-        ([{"command": ["./nobody"]}], {}, "trackers[0]: command: './nobody': there is no such program"),
-        ([{"tracker": "sort", "timeout_s": 3}], {}, "trackers[0]: timeout_s is for command"),
-        ([{"command": ["true"], "timeout_s": 0}], {}, "trackers[0].timeout_s: "),
-        ([{"tracker": "sort", "files": []}], {}, "trackers[0]: files is for command"),
-        ([{"command": ["true"], "files": ["x.py"]}], {}, "trackers[0]: files: 'x.py': no such file in"),
-        (["reference"], {"require": [{"score": "established", "at_most": 1}], "x": 1}, "x: unknown key"),
-        (["reference"], {"require": [{"score": "established_mm", "at_most": 1}]}, "did you mean 'established_m'"),
-        (
-            ["reference", "world_gnn"],
-            {"require": [{"score": "hota", "at_least": 0.5, "in": 0.5}]},
-            "require[0].score: hota is of tracks in the images, and those of world_gnn are not: name those that it is "
-            "about, as in where: {tracker: [reference]}",
-        ),
-        (
-            ["reference"],
-            {"search": {"maximise": "rmse_m", "over": {"imu.heading_noise_rad": [0, 0.01]}, "budget": 1}},
-            "search: rmse_m is of tracks in the world, and those of reference are not",
-        ),
-        (
-            ["reference"],
-            {"require": [{"score": "frame_ms_p99", "at_most": 1}], "stop": "sequential"},
-            "stop: sequential ends when the requirements are decided, and those on what runs took do not repeat",
-        ),
-    ],
-)
+SORT = {"tracker": "sort"}
+HALF = {"score": "hota", "at_least": 0.5, "in": 0.5}
+TOOK_MS, ESTABLISHED = {"score": "frame_ms_p99", "at_most": 1}, {"score": "established", "at_most": 1}
+IMU = {"maximise": "rmse_m", "over": {"imu.heading_noise_rad": [0, 0.01]}, "budget": 1}
+
+
+@pytest.mark.parametrize(("trackers", "more", "said"), [
+    ([{**SORT, "command": ["./x"]}], {}, "trackers[0]: give either tracker, a name, or command"),
+    ([{"name": "x"}], {}, "trackers[0]: give either tracker, a name, or command"),
+    ([{"command": []}], {}, "trackers[0].command: "),
+    ([{"command": ["./nobody"]}], {}, "trackers[0]: command: './nobody': there is no such program"),
+    ([{**SORT, "timeout_s": 3}], {}, "trackers[0]: timeout_s is for command"),
+    ([{"command": ["true"], "timeout_s": 0}], {}, "trackers[0].timeout_s: "),
+    ([{**SORT, "files": []}], {}, "trackers[0]: files is for command"),
+    ([{"command": ["true"], "files": ["x.py"]}], {}, "trackers[0]: files: 'x.py': no such file in"),
+    (["reference"], {"require": [ESTABLISHED], "x": 1}, "x: unknown key"),
+    (["reference"], {"require": [{**ESTABLISHED, "score": "established_mm"}]}, "did you mean 'established_m'"),
+    (["reference", "world_gnn"], {"require": [HALF]}, "require[0].score: hota is of tracks in the images, and those of "
+     "world_gnn are not: name those that it is about, as in where: {tracker: [reference]}"),
+    (["reference"], {"search": IMU}, "search: rmse_m is of tracks in the world, and those of reference are not"),
+    (["reference"], {"require": [TOOK_MS], "stop": "sequential"},
+     "stop: sequential ends when the requirements are decided, and those on what runs took do not repeat"),
+])  # fmt: skip
 def test_wrong_keys_are_named(tmp_path: Path, trackers: list[Any], more: dict[str, Any], said: str) -> None:
     problems = problems_of(tmp_path, scene="strait", steps=2, trackers=trackers, **more)
     assert any(said in problem for problem in problems), problems
@@ -224,9 +207,6 @@ def test_wrong_keys_are_named(tmp_path: Path, trackers: list[Any], more: dict[st
 def test_a_plan_without_programs_is_as_it_was(tmp_path: Path) -> None:
     given = checked_campaign(tmp_path, scene="strait", steps=2, trackers=["reference"]).content["campaign"]["trackers"]
     assert given == [{"tracker": "reference", "name": None, "set": {}}]
-
-
-# ---- Trackers in the world ----
 
 
 def test_a_run_whose_tracks_are_elsewhere_is_not_left_out() -> None:
@@ -247,13 +227,10 @@ def in_world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "mine.py").write_text(PYTHON, encoding="utf-8")
     loose = PYTHON.replace('"position_m": [x, y]', '"position_m": [x + random.random(), y]')
     (made / "loose.py").write_text(loose.replace("import json\n", "import json\nimport random\n"), encoding="utf-8")
-    trackers = [
-        {"name": name, "command": [sys.executable, f"{name}.py"], "set": {"lost_s": 3}} for name in ("mine", "loose")
-    ]
-    near = [
-        {"score": "rmse_m", "at_most": 50, "in": 0.1, "resting_on": 0.01},
-        {"score": "established_m", "at_least": 5, "in": 0.1},
-    ]
+    more = {"set": {"lost_s": 3}}
+    trackers = [{"name": name, "command": [sys.executable, f"{name}.py"], **more} for name in ("mine", "loose")]
+    near = [{"score": "rmse_m", "at_most": 50, "in": 0.1, "resting_on": 0.01}]
+    near.append({"score": "established_m", "at_least": 5, "in": 0.1})
     keys = {"scene": "strait", "steps": 60, "set": {"annotation.source": "rectangles"}, "keep": ["tracks"]}
     run_campaign_file(made, **keys, trackers=trackers, require=near)
     return made / "campaign"
@@ -265,12 +242,9 @@ def test_a_row_has_all_world_scores_and_they_are_those_of_short_code_over_the_fi
     assert again.same and again.error is None and reproduce_run(in_world, 0, tmp_path / "run").reused
     run = modsim3d.open_run(tmp_path / "run")
     flat = modsim3d.score_world(run, modsim3d.read_world_tracks(again.tracks, run)).flat()
-    kept = {world_column(name) for name in flat if not name.endswith(("_low", "_high"))}
-    assert kept == set(WORLD_SCORES) and kept <= set(row)
-    assert {name: row[world_column(name)] for name in flat if world_column(name) in kept} == {
-        name: flat[name] for name in flat if world_column(name) in kept
-    }
-    squares, gospa, seen, found = {}, [], {}, {}
+    kept = {world_column(name): value for name, value in flat.items() if not name.endswith(("_low", "_high"))}
+    assert set(kept) == set(WORLD_SCORES) and kept == {name: row[name] for name in kept}
+    squares, gospa, seen = defaultdict(list), [], Counter()
     tracks = np.genfromtxt(again.tracks / "world_tracks.csv", delimiter=",", names=True, deletechars='"')
     truth = pq.read_table(tmp_path / "run" / "truth.parquet").to_pylist()
     places = run.scene.poses.poses(0, 60).positions_m[..., :2]
@@ -284,16 +258,14 @@ def test_a_row_has_all_world_scores_and_they_are_those_of_short_code_over_the_fi
         away = np.hypot(*(places[step, vessels][:, None] - np.column_stack([told["w1_m"], told["w2_m"]])).T).T
         i, j = linear_sum_assignment(np.minimum(away, 50))
         gospa.append(np.minimum(away, 50)[i, j].sum() + 25 * abs(away.shape[0] - away.shape[1]))
-        for vessel in vessels:
-            seen[vessel] = seen.get(vessel, 0) + 1
+        seen.update(vessels)
         for a, b in zip(i, j, strict=True):
             if away[a, b] <= 50:
-                found[vessels[a]] = found.get(vessels[a], 0) + 1
-                squares.setdefault(vessels[a], []).append(away[a, b] ** 2)
+                squares[vessels[a]].append(away[a, b] ** 2)
     assert row["gospa_m"] == pytest.approx(np.mean(gospa))
     assert row["rmse_m"] == pytest.approx(np.mean([np.sqrt(np.mean(each)) for each in squares.values()])) and squares
-    assert row["followed_share"] == pytest.approx(np.mean([found.get(each, 0) / count for each, count in seen.items()]))
-    assert (row["vessels"], row["world_established"]) == (len(seen), len(found))
+    assert row["followed_share"] == pytest.approx(np.mean([len(squares[each]) / seen[each] for each in seen]))
+    assert (row["vessels"], row["world_established"]) == (len(seen), sum(map(bool, squares.values())))
 
 
 def test_what_does_not_repeat_is_said_and_world_scores_have_verdicts(in_world: Path) -> None:

@@ -46,13 +46,6 @@ def campaign(tmp_path_factory):
     return run_campaign_file(tmp_path_factory.mktemp("report"), "c.yaml", **keys, vary=vary, require=require).folder
 
 
-@pytest.fixture(scope="module")
-def html(campaign, tmp_path_factory):
-    path = tmp_path_factory.mktemp("page") / "report.html"
-    report_campaign(campaign.path, path)
-    return path.read_text(encoding="utf-8")
-
-
 def verdict(requirement, outcome, **more):
     given = {"text": "hota at least 0.5", "tracker": "sort", "condition": 0, "why": "It is so.", "confidence": 0.95}
     numbers = {"estimate": 0.55, "low": 0.52, "high": 0.58, "seeds": 8}
@@ -94,7 +87,11 @@ def test_a_row_says_only_what_its_interval_does_not():
     assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)  # the axis of a share ends at 1
 
 
-def test_the_verdict_stands_before_all_numbers_and_the_page_names_what_they_mean_and_needs_no_network(campaign, html):
+def test_the_verdict_stands_before_all_numbers_and_the_page_names_what_they_mean_and_needs_no_network(
+    campaign, tmp_path
+):
+    report_campaign(campaign.path, tmp_path / "report.html")
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert campaign.finished
     body = html.partition("<body>")[2]
     (lead,) = re.findall(r'<p class="lead">(.*?)</p>', body)
@@ -115,12 +112,9 @@ def test_keys_that_are_set_for_all_runs_are_named():
     assert tables.facts([("plan", "0" * 64)]).count("<wbr>") == 3  # a checksum may be broken for a narrow screen
 
 
-def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
+def test_an_unfinished_campaign_says_so_first_and_crashes_are_grouped_by_their_error(campaign, tmp_path):
     page = campaign_page(CampaignFolder(tmp_path, campaign.facts, campaign.plan), table_of([]), [])
     assert '<p class="lead">Not finished: 0 of 4 runs are done, and nothing on this page is a verdict.</p>' in page
-
-
-def test_crashes_are_grouped_by_their_error(campaign):
     rows = [crashed_row(number, "ValueError: <a>" if number < 2 else "KeyError: b") for number in range(3)]
     html = html_of_blocks(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
     assert "3 runs of 3 crashed" in html and html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
@@ -141,13 +135,17 @@ def test_a_search_is_no_rate_and_names_the_worst_first(campaign):
     assert re.findall(r'data-label="trial">(\d)</td><td class="number" data-label="HOTA">0\.', html) == ["1", "0"]
 
 
+def means_of_seeds(rows):
+    seeds = sorted({row["traffic_seed"] for row in rows})
+    return [np.mean([row["hota"] for row in rows if row["traffic_seed"] == seed]) for seed in seeds]
+
+
 def test_a_mean_and_its_interval_are_over_traffic_seeds_and_one_value_gives_no_interval():
     plan = plan_of(5)
     table = table_for(plan)
     found = over_seeds(seed_cells(plan, table, "hota"))
     rows = [r for r in table.to_pylist() if r["tracker"] == "bytetrack" and r["condition"] == 4]
-    seeds = sorted({r["traffic_seed"] for r in rows})
-    values = [np.mean([r["hota"] for r in rows if r["traffic_seed"] == seed]) for seed in seeds]
+    values = means_of_seeds(rows)
     low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
     assert [found.mean[4, 1], found.low[4, 1], found.high[4, 1]] == pytest.approx([np.mean(values), low, high])
     assert (len(rows), found.seeds[4, 1]) == (10, 5)
@@ -175,8 +173,7 @@ def test_means_at_a_level_are_those_of_a_loop():
     rows = table.to_pylist()
     for level, value in enumerate((0.2, 0.6, 1.0)):
         chosen = [r for r in rows if r["waves.significant_height_m"] == value and r["tracker"] == "sort"]
-        seeds = {r["traffic_seed"] for r in chosen}
-        by_seed = [np.mean([r["hota"] for r in chosen if r["traffic_seed"] == seed]) for seed in seeds]
+        by_seed = means_of_seeds(chosen)
         assert found.mean[level, 0] == pytest.approx(np.mean(by_seed))
         assert found.high[level, 0] - found.mean[level, 0] == pytest.approx(stats.t.ppf(0.975, 3) * stats.sem(by_seed))
 

@@ -175,12 +175,9 @@ def rows_of_the_page():
 
 
 LEFT_OUT = {"appearances": "vessel", "occlusions_to_survive": "occlusion to survive"}
-BASES = {
-    "true_positives": "vessel-frames followed",
-    "nees_pairs": "vessel-frames with a covariance",
-    "established_share": "`established_share`",
-    "occlusions_judged": "`occlusions_judged` / `occlusions_to_survive`",
-}
+BASES = {"true_positives": "vessel-frames followed", "nees_pairs": "vessel-frames with a covariance"}
+BASES |= {"established_share": "`established_share`"}
+BASES |= {"occlusions_judged": "`occlusions_judged` / `occlusions_to_survive`"}
 
 
 def test_the_page_has_what_trackers_without_tracks_do_to_each_score():

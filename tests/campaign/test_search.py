@@ -64,10 +64,16 @@ def test_every_trial_is_within_the_limits_and_counted_and_refused_values_are_no_
     assert files == {"campaign.yaml", "plan.json", "campaign.log", "search"}
 
 
-def test_a_search_that_ended_is_not_made_again_and_leaves_no_task(campaign, result):
+def test_a_search_that_ended_is_not_made_again_leaves_no_task_and_tells_of_a_damaged_score(campaign, result, tmp_path):
     (result.folder.done / "left").mkdir(parents=True)  # as if it was killed at its very end
     assert run_search(campaign, result.folder.path, no_engine).table.equals(result.table)
     assert not result.folder.done.exists()
+    file = shutil.copytree(result.folder.path, tmp_path / "damaged") / "search" / "part-00000.parquet"
+    content = bytearray(file.read_bytes())
+    content[len(content) // 3] ^= 255
+    file.write_bytes(content)
+    with pytest.raises(ModsimError, match=r"part-00000\.parquet was changed after the campaign ended"):
+        search_table(opened_campaign(tmp_path / "damaged"))
 
 
 def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_folder(result: SearchResult) -> None:
@@ -80,16 +86,6 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_fol
     assert (row["hota"], run.condition.values) == (worst.value, worst.values)
     with pytest.raises(ModsimError, match=r"has no trial 12 \(there: 0 to 11\)"):
         trial_run(folder.path, 12)
-
-
-def test_a_score_that_was_damaged_on_the_disk_is_told(result: SearchResult, tmp_path: Path) -> None:
-    folder = shutil.copytree(result.folder.path, tmp_path / "damaged")
-    file = folder / "search" / "part-00000.parquet"
-    content = bytearray(file.read_bytes())
-    content[len(content) // 3] ^= 255
-    file.write_bytes(content)
-    with pytest.raises(ModsimError, match=r"part-00000\.parquet was changed after the campaign ended"):
-        search_table(opened_campaign(folder))
 
 
 def test_an_interrupted_search_ends_with_the_same_bytes_whichever_engine(campaign, result, tmp_path):

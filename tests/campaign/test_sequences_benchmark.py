@@ -23,13 +23,7 @@ def figures():
     return json.loads((CAMPAIGNS / "sequences.json").read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="module")
-def scores():
-    return pq.read_table(STORED)
-
-
 def test_the_committed_page_is_of_its_figures_and_means_are_judged_from_the_seeds_on_that_they_found(figures):
-    """None on two seeds, and the usual scores from ten on."""
     assert (CAMPAIGNS / "sequences.md").read_text(encoding="utf-8") == sequences.text(figures)
     found, differences = figures["resampled"], figures["differences"]
     seeds = found["offers"] | differences["offers"]
@@ -46,7 +40,8 @@ def test_the_usual_means_have_four_fifths_of_the_power_of_t_from_ten_seeds_on_an
     assert all(lower_rate(cell["wrong"][RULE], figures["resampled"]["campaigns"]) <= 0.05 for cell in cells)
 
 
-def test_each_traffic_has_the_same_seeds_and_bounds_of_resampled_campaigns_hold_where_students_t_does_not(scores):
+def test_each_traffic_has_the_same_seeds_and_bounds_of_resampled_campaigns_hold_where_students_t_does_not():
+    scores = pq.read_table(STORED)
     assert len(scores) == len(TRAFFICS) * SEEDS * len(TRACKERS)
     numbers = np.array(scores["traffic_seed"]).reshape(len(TRAFFICS), SEEDS, len(TRACKERS))
     assert np.all(numbers == numbers[0, :, :1])  # with each tracker

@@ -145,11 +145,9 @@ def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -
     counts = {"confusion": "confusion", "false_positives_per_image": "false_positives_per_image"}
     means = {"box_error_mean": "box_error.mean"}
     many, few = drawn(100_000, **counts, **means), drawn(5, **means)
-    for found, law in (
-        (many["confusion"].reshape(count, 3, 2)[:, -1, 0], stats.beta(12.5, 28.5)),
-        (many["false_positives_per_image"][:, 0], stats.gamma(10.5, scale=1 / 50)),
-        (many["box_error_mean"][:, 0], stats.norm()),
-    ):
+    misses, rates = many["confusion"].reshape(count, 3, 2)[:, -1, 0], many["false_positives_per_image"][:, 0]
+    laws = stats.beta(12.5, 28.5), stats.gamma(10.5, scale=1 / 50), stats.norm()
+    for found, law in zip((misses, rates, many["box_error_mean"][:, 0]), laws, strict=True):
         assert stats.kstest(found, law.cdf).pvalue > 1e-3
     beyond = int((np.abs(few["box_error_mean"][:, 0]) > stats.t(4).ppf(0.975)).sum())
     assert stats.binomtest(beyond, count, 0.05).pvalue > 1e-3  # 0.6 % of normal ones are beyond
@@ -162,7 +160,6 @@ def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -
 
 @given(st.integers(1, 4), st.integers(5, 50), st.sampled_from([0.0, 0.001, 0.4, 1.0]), st.integers(0, 2**40))
 def test_every_draw_is_a_detector(labels: int, units: int, misses: float, seed: int) -> None:
-    """Columns sum to one, and covariances have no negative eigenvalue even as they are written."""
     drawn = drawn_detector(LearnedUncertainty.model_validate(group(0.0, labels, units, misses)), seed)
     confusion = np.array(drawn["detector.states.a.confusion"])
     assert confusion.shape == (labels + 1, labels) and confusion.min() >= 0
@@ -204,7 +201,6 @@ def test_a_detector_is_drawn_for_a_traffic_seed_and_all_trackers_and_again(folde
 
 
 def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: Learned, tmp_path: Path) -> None:
-    """Its directory has it as a detector file, as `campaign reproduce` writes it."""
     condition, scenes = Condition("harbour", {"detector": "few.yaml"}), Scenes(3, folder, learned=True)
     alone, shared = scenes.alone(condition, 5, 6), scenes.of(condition, 5, 6)
     alone.copy.write(tmp_path)

@@ -16,7 +16,7 @@ from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import measured_offers, seeds_needed, warnings_of
 from modsim3d.cli.campaign_text import requirement_in_words
 from tests.campaign.campaigns import html_of_blocks, run_campaign_file
-from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
+from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores, verdict_of
 
 NO_WORSE = {"score": "siap_completeness", "of": "new", "minus": "old", "at_least": -0.02}
 TRACKERS = ({"tracker": "sort", "name": "old"}, {"tracker": "bytetrack", "name": "new"})
@@ -31,9 +31,7 @@ def values_of(difference, seeds=SEEDS):
 
 
 def one(requirement, values, crashed=(), score="siap_completeness", **keys):
-    plan = plan_of(len(values), [requirement], TRACKERS, **keys)
-    (verdict,) = judged(plan, table_of_scores(plan, score, values, crashed))
-    return verdict
+    return verdict_of(plan_of(len(values), [requirement], TRACKERS, **keys), score, values, crashed)
 
 
 @pytest.mark.parametrize("stop", ["once", "sequential"])

@@ -8,19 +8,15 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.verdicts.bounds import perfect_seeds, skewed_bounds
+from modsim3d.campaign.done_rows import needed_seeds
+from modsim3d.campaign.verdicts.bounds import clean_seeds, perfect_seeds, skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import levels_of, rounded, seeds_needed, warnings_of
-from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
+from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores, verdict_of
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
 HOTA = {"score": "hota", "at_least": 0.6}
-
-
-def one(plan, score, values, crashed=()):
-    (verdict,) = judged(plan, table_of_scores(plan, score, values, crashed))
-    return verdict
 
 
 @dataclass(frozen=True)
@@ -110,7 +106,7 @@ VERDICTS = {
 @pytest.mark.parametrize("case", VERDICTS.values(), ids=VERDICTS)
 def test_a_requirement_is_judged_by_all_runs(case):
     plan = plan_of(case.seeds or len(case.values), [case.requirement], **case.keys)
-    verdict = one(plan, case.requirement["score"], case.values, case.crashed)
+    verdict = verdict_of(plan, case.requirement["score"], case.values, case.crashed)
     assert verdict.outcome == case.outcome
     for name, value in case.expected.items():
         assert getattr(verdict, name) == (pytest.approx(value) if isinstance(value, float) else value), name
@@ -148,7 +144,7 @@ SAID = {
 
 @pytest.mark.parametrize(("keys", "requirement", "values", "crashed", "said"), SAID.values(), ids=SAID)
 def test_a_verdict_says_what_it_rests_on_in_sentences(keys, requirement, values, crashed, said):
-    assert one(plan_of(len(values), [requirement], **keys), "hota", values, crashed).why == said
+    assert verdict_of(plan_of(len(values), [requirement], **keys), "hota", values, crashed).why == said
 
 
 def test_runs_that_are_lost_are_counted_by_their_kind_in_one_sentence():
@@ -284,7 +280,7 @@ def test_rows_behind_a_missing_one_do_not_count_and_a_crashed_run_rests_on_nothi
 def test_a_mean_at_the_end_of_its_score_and_a_value_beyond_it_can_never_be_met(requirement, stop):
     assert warnings_of(plan_of(5_000, [requirement], stop=stop))
     best = 1.0 if "at_least" in requirement else 0.0
-    assert one(plan_of(50, [requirement], stop=stop), "hota", [best] * 50).outcome != "met"
+    assert verdict_of(plan_of(50, [requirement], stop=stop), "hota", [best] * 50).outcome != "met"
 
 
 def test_the_seeds_between_two_measured_confidences_are_those_that_both_need(monkeypatch):
@@ -304,11 +300,18 @@ def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
     assert "1 traffic seed without hota in state haze left out: 1000001. The truth has nothing to score" in verdict.why
 
 
+def paired_scores(values, score="hota", crashed=(), seeds=None, **keys):
+    """The difference of two trackers' scores, a row for each traffic seed."""
+    plan = plan_of(seeds or len(values), [], ("bytetrack", "sort"), **keys)
+    (found,) = paired(plan, table_of_scores(plan, score, values, crashed), score)
+    return found
+
+
 def test_pairing_takes_off_what_both_trackers_share():
-    plan, rng = plan_of(40, [], ("bytetrack", "sort")), np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     traffic, own = rng.normal(0.6, 0.05, (40, 1)), rng.normal(0, 0.01, (40, 2))
     values = traffic + own + [0.03, 0.0]
-    (found,) = paired(plan, table_of_scores(plan, "hota", values), "hota")
+    found = paired_scores(values)
     difference = values[:, 0] - values[:, 1]
     assert (found.first, found.second, found.seeds) == ("bytetrack", "sort", 40)
     assert found.mean == pytest.approx(difference.mean())
@@ -318,25 +321,94 @@ def test_pairing_takes_off_what_both_trackers_share():
 
 
 def test_a_sequential_difference_has_an_interval_only_if_the_score_has_bounds_and_differences_are_not_the_same():
-    plan = plan_of(400, [], ("bytetrack", "sort"), stop="sequential")
     values = np.tile([[0.9, 0.3], [0.8, 0.4]], (100, 1))
-    (found,) = paired(plan, table_of_scores(plan, "hota", values), "hota")
+    found, unbounded = (paired_scores(values, score, **SEQUENTIAL) for score in ("hota", "gospa"))
     assert found.low < 0.5 < found.high and found.low > 0.3
-    (nothing,) = paired(plan, table_of_scores(plan, "hota", values[:0]), "hota")
-    assert (nothing.mean, nothing.low, nothing.high) == (None, None, None)
-    (unbounded,) = paired(plan, table_of_scores(plan, "gospa", values), "gospa")
     assert unbounded.low is unbounded.high is None and unbounded.mean == pytest.approx(0.5)
-    alike, values = plan_of(3, [], ("bytetrack", "sort")), np.array([[0.9, 0.8], [0.7, 0.6], [0.4, 0.3]])
-    (found,) = paired(alike, table_of_scores(alike, "hota", values), "hota")
-    assert found.mean == pytest.approx(0.1) and found.low is found.high is found.variance_ratio is None
+    nothing = paired_scores(values[:0], seeds=400, **SEQUENTIAL)
+    assert (nothing.mean, nothing.low, nothing.high) == (None, None, None)
+    alike = paired_scores(np.array([[0.9, 0.8], [0.7, 0.6], [0.4, 0.3]]))
+    assert alike.mean == pytest.approx(0.1) and alike.low is alike.high is alike.variance_ratio is None
 
 
 def test_a_run_that_crashed_or_has_nothing_to_score_widens_a_paired_difference_and_does_not_drop_out():
-    plan = plan_of(100, [], ("bytetrack", "sort"))
     values = np.tile([[0.7, 0.5], [0.68, 0.5]], (50, 1))
-    whole, lost = (paired(plan, table_of_scores(plan, "hota", values, crashed), "hota")[0] for crashed in ((), (6,)))
+    whole, lost = paired_scores(values), paired_scores(values, crashed=(6,))
     assert (lost.crashed, lost.seeds) == (1, 99) and lost.low < whole.low and lost.high > whole.high
     assa = (None if run == 7 else 0.7 + run % 4 / 100 for run in range(100))
     table = table_of_runs({"appearances": 2, "assa": each} for each in assa)
     (found,) = paired(plan_of(50, [], ("bytetrack", "sort")), table, "assa")
     assert (found.crashed, found.undefined, found.seeds) == (1, 0, 49)
+
+
+MOSTLY_CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.9}
+SCORES = ("id_switches", "hota", "mota", "idf1")
+
+
+def verdicts_of(wrong, seeds, confidence=0.95, stop="once", level="family"):
+    """Verdicts on shares of four scores, of which so many seeds are wrong."""
+    require = [{"score": each, "at_least": 0.5, "in": 0.9, "confidence": confidence} for each in SCORES[1 : len(wrong)]]
+    plan = plan_of(seeds, [{**MOSTLY_CLEAN, "confidence": confidence}, *require], level=level, stop=stop)
+    others = list(zip(SCORES[1:], wrong[1:], strict=False))
+    rows = ({name: 0.1 if run < bad else 0.9 for name, bad in others} for run in range(seeds))
+    return judged(plan, table_of_runs({"id_switches": int(run < wrong[0]), **row} for run, row in enumerate(rows)))
+
+
+def test_a_verdict_alone_is_judged_at_its_own_level_and_two_at_half_of_it():
+    assert [each.outcome for each in verdicts_of([0], 29)] == ["met"]
+    both = clean_seeds(0.9, 0.975)
+    for fewer, level, outcome in ((1, "family", "undecided"), (0, "family", "met"), (1, "each", "met")):
+        assert [each.outcome for each in verdicts_of([0, 0], both - fewer, level=level)] == [outcome] * 2
+
+
+def test_what_is_met_leaves_the_rest_of_the_level_to_the_others():
+    """With 46 seeds, one wrong of them is shown with 95 % and not with 97.5 %; none wrong with both."""
+    assert clean_seeds(0.9, 0.95, 1) == 46 < clean_seeds(0.9, 0.975, 1)
+    first, second = verdicts_of([0, 1], 46)
+    assert (first.outcome, first.confidence) == ("met", 0.975)
+    assert (second.outcome, second.confidence) == ("met", pytest.approx(0.95))
+    assert "97.5 % confidence" in first.why and "Judged at 95 %, by Holm" in second.why
+    assert [each.outcome for each in verdicts_of([1, 1], 46)] == ["undecided"] * 2
+    # Met and failed step down by themselves.
+    outcomes = [(each.outcome, round(each.confidence, 6)) for each in verdicts_of([0, 40, 4], 46)]
+    assert outcomes == [("met", 0.983333), ("failed", 0.983333), ("undecided", 0.975)]
+    # What is open could still be met or fail: its level is the stricter one.
+    outcomes = [(each.outcome, each.confidence) for each in verdicts_of([0, 4], 46)]
+    assert outcomes == [("met", 0.975), ("undecided", 0.975)]
+
+
+@pytest.mark.parametrize("stop", ["once", "sequential"])
+def test_the_family_errs_no_more_than_one_of_its_verdicts_may(stop):
+    """Eight shares at their threshold: each verdict alone is wrong more often in all than its level."""
+    rng, wrong = np.random.default_rng(3), {"family": 0, "each": 0}
+    names = ("hota", "deta", "idf1", "idr", "mota", "assa", "detre", "detpr")
+    require = [{"score": name, "at_least": 0.5, "in": 0.8, "confidence": 0.9} for name in names]
+    for _ in range(60):
+        right = (rng.random((60, 8)) < 0.8).astype(float)
+        table = table_of_runs(dict(zip(names, each, strict=True)) for each in right)
+        for level in wrong:
+            verdicts = judged(plan_of(60, require, level=level, stop=stop), table)
+            wrong[level] += any(each.outcome == "met" for each in verdicts)
+    assert wrong["family"] <= 0.1 * 60 + 6 and wrong["family"] < wrong["each"]
+
+
+def test_a_mean_beyond_the_confidences_that_were_measured_is_undecided_and_says_so():
+    require = [{"score": "hota", "at_least": 0.5}] * 6
+    plan = plan_of(60, require, level="family")
+    (why,) = {each.why for each in judged(plan, table_of_scores(plan, "hota", 0.8 + 0.02 * np.tile([-1, 1], 30)))}
+    assert "99.16666667 % confidence" in why and "was not measured to hold" in why
+    assert len(warnings_of(plan)) == 6 and warnings_of(plan_of(60, require[:5], level="family")) == []
+
+
+def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach_and_levels_say_whose_they_are():
+    seeds = clean_seeds(0.9, 0.975)
+    assert warnings_of(plan_of(seeds, [MOSTLY_CLEAN] * 2, level="family")) == []
+    assert len(warnings_of(plan_of(seeds - 1, [MOSTLY_CLEAN] * 2, level="family"))) == 2
+    assert clean_seeds(0.92, 0.95) == seeds < clean_seeds(0.92, 0.975)  # if the other is met first
+    assert warnings_of(plan_of(seeds, [MOSTLY_CLEAN, {**MOSTLY_CLEAN, "in": 0.92}], level="family")) == []
+    (first, _) = needed_seeds(plan_of(5, [MOSTLY_CLEAN] * 2, level="family"), {}, None)
+    assert first.seeds == seeds
+    levels = levels_of(plan_of(5, [MOSTLY_CLEAN] * 4, level="family"))
+    assert (levels.met, levels.any_wrong) == (pytest.approx(0.05), pytest.approx(0.1))
+    said = " ".join(levels.sentences())
+    assert "that one or more of the 4 verdicts are met wrongly is at most 5 %" in said and "by Holm" in said

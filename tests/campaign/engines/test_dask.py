@@ -1,19 +1,77 @@
-"""A real scheduler and workers that are killed, come late or lose their scheduler."""
+"""A real scheduler and workers that are killed, come late or lose their scheduler, also as jobs of Slurm."""
 
+import os
+import signal
+import socket
+import subprocess
+import sys
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.dask import DaskEngine, _raise_unless_killed
+from modsim3d.campaign.dask import DaskEngine, SlurmEngine, _raise_unless_killed
 from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.work.task import TaskReport
 from modsim3d.campaign.workers import Death
 from modsim3d.core.errors import ModsimError
 from tests.campaign.engines.campaigns import Campaigns, alive, waited_for
-from tests.campaign.engines.cluster import Cluster, cluster, free_port
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def answers(port: int) -> bool:
+    with socket.socket() as tried:
+        return tried.connect_ex(("127.0.0.1", port)) == 0
+
+
+class Cluster:
+    """Processes on the loopback; workers have no nanny, so that one that is killed stays away."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._port = folder, free_port()
+        self.address = f"tcp://127.0.0.1:{self._port}"
+        self._processes: list[subprocess.Popen[bytes]] = []
+
+    def start_scheduler(self) -> subprocess.Popen[bytes]:
+        started = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self._port), "--no-dashboard")
+        waited_for(lambda: answers(self._port))
+        return started
+
+    def start_worker(self) -> subprocess.Popen[bytes]:
+        """A worker with two threads, of which only one may make runs."""
+        options = "--no-nanny", "--nthreads", "2", "--no-dashboard", "--host", "127.0.0.1"
+        return self._start("worker", self.address, *options)
+
+    def close(self) -> None:
+        for process in self._processes:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+
+    def _start(self, *arguments: str) -> subprocess.Popen[bytes]:
+        line = [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *arguments[1:]]
+        environment = {**os.environ, "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
+        quiet = subprocess.DEVNULL
+        self._processes.append(subprocess.Popen(line, cwd=self._folder, env=environment, stdout=quiet, stderr=quiet))
+        return self._processes[-1]
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
+    made = Cluster(folder)
+    try:
+        made.start_scheduler()
+        for _ in range(workers):
+            made.start_worker()
+        yield made
+    finally:
+        made.close()
 
 
 @pytest.fixture(autouse=True)
@@ -101,3 +159,55 @@ def test_workers_and_the_scheduler_are_lost_and_others_come(campaigns: Campaigns
         assert all(isinstance(report, TaskReport) and report.crashed == 0 for _, report in done)
         engine.close()
     campaigns.check_end(out)
+
+
+SBATCH = """#!/bin/sh
+cp "$1" {folder}/script
+setsid sh {folder}/script > {folder}/log 2>&1 &
+echo $! >> {folder}/jobs
+echo "Submitted batch job $!"
+"""
+SCANCEL = '#!/bin/sh\nkill -- "-$1"\n'
+CONFIGURATION = {
+    "jobqueue.slurm.cores": 1, "jobqueue.slurm.memory": "1 GiB", "jobqueue.slurm.interface": "lo",
+    "jobqueue.slurm.worker-extra-args": ["--no-nanny"],
+}  # fmt: skip
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder in which `jobs` names the jobs that were started."""
+    for name, text in {"sbatch": SBATCH, "scancel": SCANCEL}.items():
+        (tmp_path / name).write_text(text.replace("{folder}", str(tmp_path)))
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    yield tmp_path
+    for job in jobs_in(tmp_path):
+        with suppress(ProcessLookupError):
+            os.killpg(job, signal.SIGKILL)
+
+
+def configured(settings: dict[str, object]) -> AbstractContextManager[object]:
+    import dask
+    import dask_jobqueue  # noqa: F401 - it brings the defaults of its configuration
+
+    return dask.config.set(settings)
+
+
+def jobs_in(folder: Path) -> list[int]:
+    path = folder / "jobs"
+    return [int(line) for line in path.read_text().split()] if path.exists() else []
+
+
+def test_jobs_make_the_runs_and_end_with_the_campaign(campaigns: Campaigns, slurm: Path) -> None:
+    with configured(CONFIGURATION):
+        campaigns.check_end(slurm / "out", lambda: SlurmEngine(1))
+    assert "#SBATCH --cpus-per-task=1" in (slurm / "script").read_text()
+    (job,) = jobs_in(slurm)
+    waited_for(lambda: not alive(job))
+
+
+def test_a_configuration_without_cores_is_told() -> None:
+    nothing = dict.fromkeys(["jobqueue.slurm.cores", "jobqueue.slurm.memory"])
+    with configured(nothing), pytest.raises(ModsimError, match=r"set jobqueue\.slurm\.cores"):
+        SlurmEngine(2)

@@ -2,21 +2,26 @@
 
 import errno
 import os
+import platform
 import shutil
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign import done_rows, folder, running
-from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign import done_rows, folder, running, serving
+from modsim3d.campaign.done_rows import DoneRows
+from modsim3d.campaign.folder import CampaignFolder, planned
+from modsim3d.campaign.serving import check_worker
 from modsim3d.campaign.work import task
 from modsim3d.campaign.work.row import crashed_row
 from modsim3d.campaign.work.task import TaskReport, Worker
-from modsim3d.core.errors import OutputError
-from tests.campaign.campaigns import interrupt
+from modsim3d.core.errors import ModsimError, OutputError
+from tests.campaign.campaigns import interrupt, no_engine
 from tests.campaign.engines.campaigns import Campaigns, content
 from tests.campaign.one_process import ThisProcess
 
@@ -112,3 +117,62 @@ def test_a_worker_that_comes_late_does_not_bring_the_folder_back(campaigns: Camp
     with pytest.raises(OutputError, match="cannot be written"):
         Worker().do(tasks[0])
     assert content(out) == campaigns.reference
+
+
+def test_shards_make_each_run_once_and_the_command_without_them_gathers(campaigns: Campaigns, out: Path) -> None:
+    made = set[Path]()
+    for part, engine in ((3, ThisProcess), (1, ThisProcess), (2, ThisProcess), (1, no_engine)):
+        before = {path: path.read_bytes() for path in made}
+        campaigns.run_part("plain", engine, out, part, 3)
+        made = set((out / "done").iterdir())
+        assert {path: path.read_bytes() for path in before} == before
+    assert not (out / "results").exists()
+    campaigns.check_end(out, no_engine)
+    campaigns.run_part("plain", no_engine, out, 2, 3)  # a job that starts when all is over
+    assert content(out) == campaigns.reference
+
+
+def test_shards_are_even_where_all_runs_share_one_truth(campaigns: Campaigns, out: Path) -> None:
+    for part in (1, 2, 3, 4):
+        campaigns.run_part("still", ThisProcess, out, part, 4)
+        assert len(DoneRows(planned(campaigns.checked("still"), out)).read().numbers()) == 2 * part
+
+
+def test_what_depends_on_other_runs_is_refused(campaigns: Campaigns, out: Path) -> None:
+    with pytest.raises(ModsimError, match="stop: sequential looks at the runs of all parts"):
+        campaigns.run_part("sequential", no_engine, out, 1, 2)
+    with pytest.raises(ModsimError, match=r"--shard 3/2: there are the parts 1/2 to 2/2"):
+        campaigns.run_part("plain", no_engine, out, 3, 2)
+    assert not (out).exists()
+
+
+def test_shards_that_start_at_once_agree_on_the_plan(campaigns: Campaigns, out: Path) -> None:
+    campaign = campaigns.checked()
+    with ThreadPoolExecutor(16) as threads:
+        found = list(threads.map(lambda _: planned(campaign, out), range(64)))
+    assert len({each.work.plan_sha256 for each in found}) == 1
+    assert sorted(path.name for path in (out).iterdir()) == ["campaign.yaml", "done", "plan.json"]
+    with pytest.raises(OutputError, match="another plan"):
+        planned(campaigns.checked("fatal"), out)
+
+
+@pytest.mark.parametrize("package", ["fragile", "numpy"])
+def test_a_worker_with_other_versions_is_refused(campaigns, out, monkeypatch, package):
+    here, _ = campaigns.planned(out)
+    check_worker(here.work)
+    here_is, other = serving.version(package), {**serving.versions(), "numpy": "9.9"}
+    if package == "numpy":
+        monkeypatch.setattr(serving, "versions", lambda: other)
+    else:
+        monkeypatch.setattr(serving, "version", lambda name: "9.9")
+    with pytest.raises(ModsimError, match=f"on {platform.node()} has .*{package} 9.9 instead of {here_is}"):
+        check_worker(here.work)
+
+
+def test_a_worker_that_finds_another_campaign_or_a_damaged_plan_is_refused(campaigns: Campaigns, out: Path) -> None:
+    here, _ = campaigns.planned(out)
+    with pytest.raises(ModsimError, match="finds another campaign at"):
+        check_worker(replace(here.work, plan_sha256="0" * 64))
+    (here.path / "plan.json").write_bytes(b"{}")
+    with pytest.raises(ModsimError, match=r"plan\.json is damaged"):
+        check_worker(here.work)
