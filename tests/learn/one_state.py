@@ -27,20 +27,10 @@ SMALL_ERRORS = {"unit": "relative", "mean": [0.0] * 4, "covariance": (4e-4 * np.
 
 def detector_file(name: str = "usual", missed: float = 0.1, false: float = 0.2, **state: Any) -> dict[str, Any]:
     """The content of a detector file; `state` has keys of the state that are not the usual ones."""
-    usual = {
-        "confusion": [[1 - missed], [missed]],
-        "false_positive_labels": [1.0],
-        "false_discovery_rate": false,
-        "box_error": SMALL_ERRORS,
-        "confidence": {"mean": 0.6, "std": 0.1},
-    }
-    return {
-        "labels": ["boat"],
-        "confidence_threshold": 0.2,
-        "initial_state": name,
-        "transition_matrix": [[1.0]],
-        "states": {name: usual | state},
-    }
+    labels = {"confusion": [[1 - missed], [missed]], "false_positive_labels": [1.0], "false_discovery_rate": false}
+    usual = labels | {"box_error": SMALL_ERRORS, "confidence": {"mean": 0.6, "std": 0.1}}
+    chain = {"initial_state": name, "transition_matrix": [[1.0]]}
+    return {"labels": ["boat"], "confidence_threshold": 0.2, **chain, "states": {name: usual | state}}
 
 
 def of_boats(pictures: Images, there: Annotations, seen: Results | None = None, name: str = "usual") -> LabelledSet:

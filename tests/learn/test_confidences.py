@@ -108,9 +108,7 @@ def test_confidences_of_some_detections_alone_are_refused(mot, tmp_path):
         learn_detector(**pairs)
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "example"), [(-1.871, 3.249, "-1.88,3.25"), (5.0, 98.0, "0,100")], ids=["DPM", "percent"]
-)
+@pytest.mark.parametrize(("low", "high", "example"), [(-1.871, 3.249, "-1.88,3.25"), (5.0, 98.0, "0,100")])
 def test_a_range_that_is_not_from_0_to_1_is_named_with_the_option_that_maps_it(low, high, example, mot, tmp_path):
     scores = np.linspace(high, low, len(mot("all", 0.7).read_text().splitlines()))
     scores[scores.size // 2] = -1 if low < -1 else scores[scores.size // 2]  # on such a scale −1 is a confidence
@@ -184,20 +182,15 @@ def test_mot_pixels_from_zero_and_frames_that_are_one_off_are_named(tmp_path):
 
     def pair(shift_px, late, noise_px):
         seen = corner + shift_px + rng.normal(0, noise_px, corner.shape)
-        for name, places, first, identity, last in (
-            ("gt", corner, 2, 7, "1,1,1"),
-            ("det", seen, 2 + late, -1, "0.9,-1,-1,-1"),
-        ):
+        files = {"gt": (corner, 2, 7, "1,1,1"), "det": (seen, 2 + late, -1, "0.9,-1,-1,-1")}
+        for name, (places, first, identity, last) in files.items():
             rows = (f"{k + first},{identity},{x},{y},60,24,{last}\n" for k, (x, y) in enumerate(places))
             (tmp_path / f"{name}.txt").write_text("".join(rows))
         return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", SEQUENCE)
 
     assert any("pixels are counted from 0, must be counted from 1" in note for note in pair(-1, 0, 0).notes)
-    for late, noise_px, said in (
-        (1, 0, "frames are one too high"),
-        (1, 2.5, "frames are one too high"),
-        (-1, 2.5, "frames count from 0"),
-    ):
+    for late, noise_px in ((1, 0), (1, 2.5), (-1, 2.5)):
+        said = "frames are one too high" if late > 0 else "frames count from 0"
         with pytest.raises(ModsimError, match=said):
             pair(0, late, noise_px)
 

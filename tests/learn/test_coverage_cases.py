@@ -68,12 +68,8 @@ def test_misses_in_another_scene_follow_what_vessels_look_like_there() -> None:
 
 
 def test_models_that_a_detector_does_not_have_are_told_from_its_own() -> None:
-    rich, coastal, thesis = (
-        models_in(yaml.safe_load(case.path.read_text()))
-        for name in ("rich", "coastal", "thesis")
-        for case in SHIPPED
-        if case.detector == name
-    )
+    by_name = {case.detector: models_in(yaml.safe_load(case.path.read_text())) for case in SHIPPED}
+    rich, coastal, thesis = (by_name[name] for name in ("rich", "coastal", "thesis"))
     assert thesis == set() and {"false_positives.persistence", "states.haze.confidence.visibility_slope"} <= coastal
     assert {"states.haze.box_error: mixed", "states.haze.confidence.true: quantiles", "dropout.distance_m"} <= rich
     content = yaml.safe_load(SHIPPED[0].path.read_text())

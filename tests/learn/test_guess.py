@@ -133,7 +133,7 @@ def test_rates_per_image_follow_the_number_of_false_positives_and_are_told() -> 
     assert rows == {"clear": f"0.1 → {0.1 * by.false_per_image:.3g}", "haze": f"0.25 → {0.25 * by.false_per_image:.3g}"}
 
 
-def test_confidence_is_shifted_by_its_log_odds() -> None:
+def test_confidence_is_shifted_by_its_log_odds_but_not_a_precision_recall_curve() -> None:
     content = content_of()
     by = ConditionChange.between(condition(), condition(confidence={"mean": 0.5, "std": 0.1}))
     ratio = (0.5 / 0.5) / (0.6 / 0.4)
@@ -147,6 +147,9 @@ def test_confidence_is_shifted_by_its_log_odds() -> None:
     quantiles = np.array(next(iter(haze.values()))["quantiles"])
     was = np.array([0.2, 0.4, 0.55, 0.65, 0.95])
     np.testing.assert_allclose(quantiles / (1 - quantiles), ratio * was / (1 - was), rtol=1e-4)
+    content["states"]["haze"]["confidence"] = {"precision_recall": [[0.849, 0.887]]}
+    with pytest.raises(InputError, match=r"states.haze:\n  confidence: a precision-recall curve cannot be shifted"):
+        guessed(content, change("noon_clear", "night_cloudy"), "detector mine")
 
 
 @pytest.mark.parametrize(
@@ -158,18 +161,10 @@ def test_confidence_is_shifted_by_its_log_odds() -> None:
         (errors_of("relative", np.zeros((4, 4))), "the variance of one of its box errors is 0"),
         (errors_of("px", np.eye(4)), "its box errors are in px, and those of it relative"),
     ],
-    ids=lambda value: "" if isinstance(value, dict) else value[:30],
 )
 def test_a_condition_without_a_ratio_is_refused(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         ConditionChange.between(condition(), condition(**keys))
-
-
-def test_a_precision_recall_curve_cannot_be_shifted() -> None:
-    content = content_of("thesis")
-    content["states"]["good"]["confidence"] = {"precision_recall": [[0.849, 0.887]]}
-    with pytest.raises(InputError, match=r"states.good:\n  confidence: a precision-recall curve cannot be shifted"):
-        guessed(content, change("noon_clear", "night_cloudy"), "detector mine")
 
 
 def test_the_table_of_the_page_has_the_rates_of_the_conditions() -> None:
@@ -217,7 +212,6 @@ def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, 
         ((*GUESS, "--to-condition", "foggy_cloudy"), TOGETHER),
         ((*GUESS, "--detector", "rich.yaml", "run"), TOGETHER),
     ],
-    ids=["rain", "spelling", "states", "missing", "no detector", "one condition"],
 )
 def test_what_cannot_be_guessed_from_is_one_error(call: Call, tmp_path: Path, options, part) -> None:
     assert part in " ".join(refusal(call, (*options, "--out", tmp_path / "out.yaml"), kept=tmp_path).split())

@@ -1,6 +1,7 @@
 import json
 import re
 from dataclasses import replace
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
@@ -8,9 +9,13 @@ import yaml
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d import InputError, ModsimError, open_run, verify_run
+from modsim3d import ModsimError, open_run, verify_run
 from modsim3d.cli.main import app
+from modsim3d.core.errors import InputError
+from modsim3d.detector.chain import MODELS, DetectorPart
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, PerImage
 from modsim3d.detector.file.reading import load_detector, parse_detector
+from modsim3d.detector.file.schema_models import DropoutSection
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule
@@ -18,8 +23,10 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import RICHER, LearnSettings
+from modsim3d.learn.learned import LEARNERS, RICHER, LearnSettings
 from modsim3d.learn.report import NearGate
+from modsim3d.learn.report_page import tables
+from tests.detector.test_parts import WITHOUT_LEARNER
 from tests.formats.labelled_files import found, images, random_set, truth
 from tests.learn import one_state, round_trip
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
@@ -196,9 +203,12 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
         (InputError, r"--horizon:\n  lies below images", (*arguments, "--horizon", "1e5")),
         (InputError, "most_distance_px: must be above 0", (*arguments, "--match", "centre:-1")),
         (ModsimError, "no annotation is there", ("--truth", empty, "--detections", nothing)),
+        (InputError, r"must be some of .*persistence.* \(got 'boxes' ", (*arguments, "--without", "effects,boxes")),
     ):
         with pytest.raises(error, match=message):
             command("--out", tmp_path / "d.yaml", *parts)
+    with pytest.raises(InputError, match="must be some of relative"):
+        modsim3d.learn_detector(truth=arguments[3], detections=arguments[5], without=["boxes"])
 
 
 def blank(count):
@@ -248,11 +258,9 @@ def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(r
 
 
 def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(tmp_path):
-    truth = {
-        "images": [{"id": 1, "width": 640, "height": 480}],
-        "categories": [{"id": 3, "name": "boat"}, {"id": 9, "name": "buoy"}],
-        "annotations": [{"image_id": 1, "category_id": 3, "bbox": [10, 10, 50, 40]}],
-    }
+    truth = {"images": [{"id": 1, "width": 640, "height": 480}]}
+    truth |= {"categories": [{"id": 3, "name": "boat"}, {"id": 9, "name": "buoy"}]}
+    truth |= {"annotations": [{"image_id": 1, "category_id": 3, "bbox": [10, 10, 50, 40]}]}
     results = [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.9}]
     for name, content in (("gt", truth), ("dt", results)):
         (tmp_path / f"{name}.json").write_text(json.dumps(content))
@@ -347,3 +355,38 @@ def test_a_run_s_operating_threshold_is_the_least_that_its_detector_claims(tmp_p
         assert ("operating_threshold dropped detections below 0.5" in result.output) == (least == 0.5)
     learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20, without=RICHER, check=False)
     assert learned.detector.confidence_threshold == 0.5
+
+
+def estimates() -> dict[tuple[str, str], str]:
+    report = learn_detector(random_set(4), LearnSettings(replicates=20), LearnOptions())
+    (table,) = (each for each in tables(report) if each.title == "Models that can be learned")
+    return {(row[0], row[1]): row[2] for row in table.rows}
+
+
+def test_the_report_says_of_every_registered_model_and_of_no_other_whether_it_is_learned(monkeypatch) -> None:
+    models = [(part, name) for part, names in MODELS.items() for name in names]
+    assert estimates() == {each: "not learned" if each in WITHOUT_LEARNER else "learned" for each in models}
+    assert all(set(learners) <= set(MODELS[part]) for part, learners in LEARNERS.items())
+    assert set(get_args(DropoutSection.model_fields["model"].annotation)) == set(MODELS[DetectorPart.CLASS])
+    monkeypatch.setitem(cast(dict[str, Any], FALSE_POSITIVE_MODELS), "fourth", PerImage())
+    assert estimates()[DetectorPart.FALSE_POSITIVES, "fourth"] == "not learned"
+
+
+def kept(content) -> set[str]:
+    clutter, confidence = content["false_positives"], content["states"]["clear"]["confidence"]
+    has = {"effects": "dropout" in content, "persistence": "persistence" in content, "confidence": "true" in confidence}
+    has |= {"sizes": "size" in clutter, "places": "placement" in clutter}
+    return {name for name, there in has.items() if there}
+
+
+def test_each_model_is_left_out_by_its_name_and_without_all_it_is_the_thesis_s(run) -> None:
+    every = {"effects", "persistence", "sizes", "places", "confidence"}
+    # No two names are left out in the same of the cases, so each is known by where it is missing.
+    quick = {"run": run, "replicates": 20, "check": False}
+    for without in ((), ("effects", "places"), ("persistence", "places", "confidence"), ("sizes", "confidence")):
+        assert kept(modsim3d.learn_detector(without=without, **quick).content) == every - set(without)
+    content = modsim3d.learn_detector(without=RICHER, **quick).content
+    assert kept(content) == set() and set(content["false_positives"]) == {"model"}
+    for state in content["states"].values():
+        assert state["box_error"].keys() == {"unit", "mean", "covariance"} and state["box_error"]["unit"] == "px"
+        assert state["confidence"].keys() == {"mean", "std"}

@@ -1,6 +1,7 @@
 """Slopes of misses that states have for themselves, and a score behind misses and confidence, are learned again."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.persistence import LatentScore
+from modsim3d.detector.persistence import BoxMemory, LatentScore
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
@@ -29,12 +30,9 @@ def content(slopes: dict[str, float], anchor: str = "state_rate"):
     data = detector({"mean": 0.7, "std": 0.1})
     state = data["states"]["usual"] | {"confusion": [[0.6], [0.4]], "false_discovery_rate": 0.0}
     own = {name: {"distance_m": {"per_unit": slope, "reference": 200}} for name, slope in slopes.items()}
-    return data | {
-        "initial_state": "clear",
-        "transition_matrix": [[0.5, 0.5], [0.5, 0.5]],
-        "dropout": {"model": "logistic", "anchor": anchor},
-        "states": {name: state | {"dropout": own[name]} for name in slopes},
-    }
+    chain = {"initial_state": "clear", "transition_matrix": [[0.5, 0.5], [0.5, 0.5]]}
+    states = {name: state | {"dropout": own[name]} for name in slopes}
+    return data | chain | {"dropout": {"model": "logistic", "anchor": anchor}, "states": states}
 
 
 def observed_boats(slopes: dict[str, float], seed, without=frozenset(), far_m=400, anchor="state_rate") -> Observed:
@@ -103,6 +101,7 @@ def test_misses_that_persist_count_for_fewer() -> None:
     assert [effect.state for effect in found[0]] == [0, 1] and found[1] == effects
 
 
+APART_S = np.array([0.5, 1, 2, 4, 8, 16])
 MISS_RATE = 0.3
 ASKED = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1.0, 6.0]}
 PLAIN = frozenset({"relative", "mixed", "student_t", *NAMES})
@@ -127,8 +126,7 @@ def test_the_memory_of_a_score_is_learned_again_and_drawn_by_a_campaign(tmp_path
     score = model.persistence.score
     assert score is not None and model.persistence.confidence_s == model.persistence.class_s == 0
     asked = LatentScore(0.3, (0.2, 0.4), (1.0, 6.0))
-    apart_s = np.array([0.5, 1, 2, 4, 8, 16])
-    assert np.abs(score.correlation(apart_s) - asked.correlation(apart_s)).max() < 0.08
+    assert np.abs(score.correlation(APART_S) - asked.correlation(APART_S)).max() < 0.08
     intervals = {each.key.path: each for each in scored.intervals(0.99)}
     kept = intervals["persistence.score.vessel_share"]
     assert kept.low <= 0.3 <= kept.high < 0.6
@@ -153,3 +151,32 @@ def test_misses_and_confidences_that_are_drawn_apart_have_no_score_and_it_can_be
     assert any(note.startswith("persistence.score: none; detections before a miss") for note in apart.notes)
     left_out = parse_detector(scored_again({"score": ASKED}, 1, frozenset({"score"})).detector()).persistence
     assert left_out.score is None and left_out.class_s > 0 and left_out.confidence_s > 0
+
+
+HEAVY = {"unit": "px", "law": "student_t", "degrees_of_freedom": 5}
+ERRORS = {**HEAVY, "mean": [0, 1, 0, 0], "covariance": np.diag([4.0, 3.0, 6.0, 3.0]).tolist()}
+SHARES = [[0.5, 0.05, 0.4, 0.3, 0.2], [0.1, 0.4, 0.1, 0.4, 0.4]]
+MEMORY = {"vessel_share": [0.05, 0.45, 0.1, 0.2, 0.2], "shares": SHARES, "times_s": [0.6, 5.0]}
+
+
+def errors_learned_again(persistence: dict[str, Any], seed: int, boats: int = 60) -> Learned:
+    data = detector({"mean": 0.6, "std": 0.15}, persistence=persistence)
+    data["states"]["usual"] |= {"false_discovery_rate": 0.02, "box_error": ERRORS}
+    labelled = moored(400, boats, columns=10, size_px=(2700.0, 1800.0), side_px=80.0)
+    return learned_from(detected(labelled, data, seed), IOU, ("relative", "mixed", *NAMES), replicates=40)
+
+
+def test_the_memory_of_each_component_is_learned_again_and_one_time_of_those_that_last_alike(tmp_path: Path) -> None:
+    learned = errors_learned_again({"box": MEMORY}, 1)
+    memory = parse_detector(learned.detector()).persistence.box
+    assert memory is not None
+    asked = BoxMemory(np.array(MEMORY["vessel_share"]), np.array(MEMORY["shares"]), np.array(MEMORY["times_s"]))
+    off = np.abs(memory.correlation(APART_S) - asked.correlation(APART_S))
+    assert off[:, :4].max() < 0.09
+    assert off[:, 4].max() < 0.15  # of how large errors are, which is seen through those that are large
+    kept = {each.key.path: each for each in learned.intervals(0.99)}["persistence.box.vessel_share"]
+    assert np.all(kept.low <= asked.vessel_share) and np.all(asked.vessel_share <= kept.high)
+    drawn = [model.persistence.box.vessel_share[1] for model in drawn_models(learned, tmp_path, 40)]
+    assert 0.02 < np.std(drawn) < 0.2  # by a campaign
+    alike = parse_detector(errors_learned_again({"box_s": 2.0}, 2, boats=20).detector()).persistence
+    assert alike.box is None and alike.box_s == pytest.approx(2.0, rel=0.25)

@@ -1,7 +1,6 @@
 """A detector from the figures of a test report: simulated in a scene it has them, whichever way they were printed."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,9 @@ from tests.command_line import call
 
 COUNTS = [[80, 5, 10], [4, 90, 6], [16, 5, 0]]  # ultralytics: predicted down, true across, background last
 TWO = {"labels": ["boat", "ship"]}
+RECALL = {"boat": 0.8, "ship": 0.9}
 KNOWN = {**TWO, "mean_iou": 0.8, "confidence": 0.3}
 PLAIN = {"labels": ["boat"], "precision": 0.9, "recall": 0.8}
-
-
-def state(report: dict[str, Any]) -> dict[str, Any]:
-    return modsim3d.learn_from_figures(report).content["states"]["reported"]
 
 
 def test_in_a_scene_of_its_own_it_has_precision_recall_and_mean_iou_of_the_report() -> None:
@@ -54,16 +50,12 @@ def test_in_a_scene_of_its_own_it_has_precision_recall_and_mean_iou_of_the_repor
         {"confusion_matrix": [[0.8, 0.05, 0.63], [0.05, 0.9, 0.38], [0.16, 0.05, None]], "precision": 170 / 195},
         {"confusion_matrix": [[0.8, 0.04, 0.16], [0.05, 0.9, 0.05], [0.63, 0.38, 0]], "precision": 170 / 195},
         # Scikit-learn, of what was detected alone, whose rows are true labels.
-        {
-            "confusion_matrix": [[0.95, 0.05], [0.05, 0.95]],
-            "recall": {"boat": 0.8, "ship": 0.9},
-            "precision": 170 / 195,
-        },
+        {"confusion_matrix": [[0.95, 0.05], [0.05, 0.95]], "recall": RECALL, "precision": 170 / 195},
     ],
     ids=["counts", "transposed", "empty cell", "shares", "shares transposed", "no background"],
 )
 def test_a_matrix_means_the_same_whichever_way_it_is_printed(report: dict[str, Any]) -> None:
-    found = state({**KNOWN, **report})
+    found = modsim3d.learn_from_figures({**KNOWN, **report}).content["states"]["reported"]
     np.testing.assert_allclose(found["confusion"], np.array(COUNTS)[:, :2] / 100, atol=0.012)
     assert found["false_discovery_rate"] == pytest.approx(16 / 195, abs=0.012)
     if len(report["confusion_matrix"]) == 3:
@@ -117,9 +109,7 @@ def test_a_wrong_report_is_refused_with_key_and_remedy(changes: dict[str, Any], 
         modsim3d.learn_from_figures({key: value for key, value in given.items() if value is not None})
 
 
-def test_the_command_writes_a_file_that_names_what_was_assumed_and_warns_of_contradictions(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_command_writes_a_file_with_what_was_assumed_and_warns_of_contradictions(monkeypatch, capsys, tmp_path):
     report, out = tmp_path / "report.yaml", tmp_path / "detector.yaml"
     matrix = "confusion_matrix: [[80, 10], [20, 0]]\nmatrix_rows: predicted\n"
     report.write_text(f"labels: [boat]\nrecall: 0.9\n{matrix}", encoding="utf-8")

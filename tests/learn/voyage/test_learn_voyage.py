@@ -57,10 +57,7 @@ def test_registration_is_applied_to_the_camera_and_to_the_clock(strait: Scene, v
     assert missed[0] < 0.3 < 0.5 < missed[1]
     for given, said in (
         ({"registration": Correction(yaw_deg=180)}, "nothing can be learned"),  # no vessel is seen
-        (
-            {"registration": NO_CORRECTION, "known": "delay=2"},
-            "fixed and known are for a registration that is estimated",
-        ),
+        ({"registration": NO_CORRECTION, "known": "delay=2"}, "fixed and known are for a registration that is estim"),
     ):
         with pytest.raises(ModsimError, match=said):
             learned(strait, voyage, **given)
@@ -110,7 +107,6 @@ def test_what_does_not_go_together_is_refused(call: Call, voyage: Path, tmp_path
 
 
 def test_logs_that_name_no_camera_are_of_those_that_are_given(voyage: Path) -> None:
-    """`--camera` names that of each log, in their order."""
     folder, loaded = voyage / "csv", load_scene(voyage / "run" / "scene" / "strait.json")
     logs = [folder / "detections_bow.csv", folder / "detections_quay.csv"]
 

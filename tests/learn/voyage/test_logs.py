@@ -280,15 +280,7 @@ def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, name: str, text: 
     assert said in str(error.value) and str(tmp_path / name) in str(error.value)
 
 
-def test_a_folder_that_is_no_log_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is a folder, and neither a run nor a ROS 2 bag"):
-        read_log(tmp_path)
-    with pytest.raises(InputError, match="no such file or folder"):
-        read_log(tmp_path / "log.csv")
-
-
 def test_images_of_another_size_and_boxes_that_no_image_has_are_refused(voyage, strait: Scene, tmp_path: Path) -> None:
-    """As those of a film that is larger than the images for which the scene's camera stands."""
     shutil.copytree(voyage / "mot" / "modsim3d-all" / "bow", tmp_path / "bow")
     info = tmp_path / "bow" / "seqinfo.ini"
     info.write_text(info.read_text().replace("imWidth=1920", "imWidth=1280"))
@@ -304,7 +296,6 @@ def test_images_of_another_size_and_boxes_that_no_image_has_are_refused(voyage, 
 
 
 def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
-    """As where two files of a log overlap."""
     rows = ROW, "1,5,6,30,40,boat,0.5", "1,5,6,30,40,boat,0.25", "1,5,6,30,40,ship,0.5"
     log = read_log(table(tmp_path, *rows, *rows[1:], rows[0]))
     assert log.frame.tolist() == [0, 1, 1, 1] and log.confidence.tolist() == [0.5, 0.5, 0.25, 0.5]
@@ -324,3 +315,6 @@ def test_a_log_that_does_not_fit_scene_or_options_is_refused(tmp_path: Path, str
     ):
         with pytest.raises(InputError, match=said):
             on_scene(read_log(table(tmp_path, row), LogOptions(**given)), strait, "bow")
+    for name, said in ((".", "is a folder, and neither a run nor a ROS 2 bag"), ("x.csv", "no such file or folder")):
+        with pytest.raises(InputError, match=said):
+            read_log(tmp_path / name)

@@ -113,8 +113,6 @@ def test_a_log_of_which_most_is_outside_of_the_scene_is_refused(tmp_path: Path, 
             assert len(on_scene(read_log(path), strait, "bow").time_s) == len(times)
 
 
-# ---- ROS 2 bags ----
-
 Frames = Mapping[float, Sequence[tuple[Any, ...]]]
 FRAMES = {time: [(115.0, 520.0, 30.0, 40.0, "boat", 0.5)] for time in TIMES}
 

@@ -86,9 +86,6 @@ def test_a_ray_is_hidden_by_a_solid_on_its_way_and_by_none_before_or_behind_it()
     assert crosses(np.zeros((5, 3)), ends, block).tolist() == [True, False, False, False, False]
 
 
-# ---- Vessels between the steps of their tracks and beyond them ----
-
-
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return load_scene("strait", settings={"annotation.source": "analytic", "waves.apply_to": "ownship"})

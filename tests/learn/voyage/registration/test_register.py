@@ -144,11 +144,9 @@ def test_too_little_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
 
 
 def test_names_that_do_not_exist_and_wrong_detections_are_refused(scene: Scene, found: BoxesAtTimes) -> None:
-    for camera, fixed, message in (
-        ("quay", [*SHORT, "k1"], "all parameters are fixed"),
-        ("quay", ["ptch"], "no parameter 'ptch' .did you mean 'pitch'"),
-        ("quai", [], "no camera 'quai'"),
-    ):
+    misspelt = "quay", ["ptch"], "no parameter 'ptch' .did you mean 'pitch'"
+    all_fixed, nowhere = ("quay", [*SHORT, "k1"], "all parameters are fixed"), ("quai", [], "no camera 'quai'")
+    for camera, fixed, message in (all_fixed, misspelt, nowhere):
         with pytest.raises(ModsimError, match=message):
             register(scene, camera, found, fixed=fixed)
     for times_s, frame, message in (

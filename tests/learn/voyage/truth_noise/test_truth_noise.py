@@ -121,7 +121,6 @@ def noise_of(scene, position_m, **parameters):
 
 
 def test_derivatives_are_those_of_the_projects_own_outlines(watched):
-    """Of vessels that are moved and turned, and of larger ones, where their boxes are whole."""
     (scene, view, _), rng = watched, np.random.default_rng(0)
     boxes = boxes_of(scene, view, view.poses)
     rows = np.nonzero(np.isfinite(boxes).all(axis=-1))
