@@ -72,7 +72,7 @@ def _of_opencv(data: Mapping[str, Any]) -> Calibration:
     if matrix is None:
         raise ValueError("has neither camera_matrix (OpenCV, ROS), K (a camera_info message) nor cam0 with intrinsics")
     k = _numbers(data, matrix, (9,))
-    lens = next((key for key in ("distortion_coefficients", "d") if key in data), "")
+    lens = next((key for key in data if re.fullmatch(r"d|dist(ortion)?(_?coef\w*)?", key)), "")  # as programs name it
     sides = next((pair for pair in (("image_width", "image_height"), ("width", "height")) if {*pair} <= {*data}), ())
     size = [_numbers(data, side, (1,))[0] for side in sides] if sides else None
     distortion = _distortion(data, lens) if lens else {}

@@ -59,6 +59,9 @@ MATRIX = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": [
 SOLVED = {"rows": 1, "cols": 5, "data": [-0.1, 0.02, 0.001, -0.002, 0.0]}
 JSON = {"image_width": 640, "image_height": 480, "camera_matrix": MATRIX, "distortion_coefficients": SOLVED}
 FILES = {"opencv": OPENCV, "ros": CAMERA_INFO, "message": MESSAGE, "kalibr": KALIBR, "json": json.dumps(JSON, indent=1)}
+FILES |= {
+    f"python {key}": OPENCV.replace("distortion_coefficients", key) for key in ("dist_coeffs", "dist", "distCoeffs")
+}
 
 
 def scene_with(folder: Path, lens: dict[str, Any], place: dict[str, Any] | None = None, **options: Any) -> Scene:
