@@ -1,31 +1,26 @@
 """A frame as a matplotlib figure, for notebooks and papers: the picture of the films, with axes in pixels around it."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import faults_of
 from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.plan import part_around
-from modsim3d.view.pictures.canvas import NOMINAL_PX, TEXT_PX, Box, Window
-from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.canvas import Box
+from modsim3d.view.pictures.frame_picture import CameraView
 from modsim3d.view.pictures.layers import DETECTIONS, WEATHER, Layers
 from modsim3d.view.pictures.legend import detection_entries, legend
 
-try:
-    from matplotlib.artist import Artist
+if TYPE_CHECKING:  # so that `modsim3d.plot_frame` can be looked at without matplotlib
     from matplotlib.axes import Axes
-    from matplotlib.backend_bases import RendererBase
     from matplotlib.figure import Figure
-    from matplotlib.offsetbox import AnnotationBbox, OffsetImage
-except ImportError:
-    raise ModsimError("frame.plot() needs matplotlib: pip install 'modsim3d[view]'") from None
 
 WIDTH_IN, BESIDE_IN, ABOVE_AND_BELOW_IN = 9.0, 0.7, 1.2  # of a figure of its own, and around the image in it
-TEXT_PT, POINTS_PER_IN = 8, 72
 AXIS_PT = 38  # distance from the image to the legend: there stand the axis's numbers and name
 KEY_DETAIL = 3  # pixels of the legend for each point
 MARGIN = 0.35  # around the boxes when zoomed in, as a share of their width and height
@@ -41,8 +36,14 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
         labels: Write names, classes and confidences.
 
     Raises:
-        ModsimError: The frame has no scene.
+        ModsimError: The frame has no scene, or matplotlib is not installed.
     """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ModsimError("frame.plot() needs matplotlib: pip install 'modsim3d[view]'") from None
+    from modsim3d.view.frame_artist import FrameArtist
+
     if frame.scene is None:
         raise ModsimError("this frame has no scene to draw: take it from simulate_frames() or the frames() of a run")
     left, top, right, bottom = _shown(frame, zoom)
@@ -60,31 +61,11 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
     return figure
 
 
-class FrameArtist(Artist):
-    """Draws layers of a frame as large as its axes are at the time, so that no pixel of the picture is resampled."""
-
-    def __init__(self, axes: Axes, camera_view: CameraView, layers: Layers) -> None:
-        """Take what to draw, and the axes that it fills."""
-        super().__init__()
-        self.set_zorder(0)
-        self._axes, self._camera_view, self._layers = axes, camera_view, layers
-
-    def draw(self, renderer: RendererBase) -> None:
-        """Draw the part of the image that the axes show."""
-        area, detail = self._axes.bbox, float(renderer.get_image_magnification())
-        (left, right), (_, top) = self._axes.get_xlim(), self._axes.get_ylim()
-        size = max(1, round(area.width * detail)), max(1, round(area.height * detail))
-        window = Window(left, top, size[0] / (right - left), size)
-        # A text of TEXT_PX in a picture of nominal width is to be TEXT_PT high.
-        pixels_per_point = detail * self._axes.figure.figure.dpi / POINTS_PER_IN
-        nominal_px = round(NOMINAL_PX * TEXT_PT * pixels_per_point / TEXT_PX)
-        picture = frame_picture(self._camera_view, window, self._layers, PlainIds(), nominal_width_px=nominal_px)
-        context = renderer.new_gc()
-        renderer.draw_image(context, area.x0, area.y0, np.asarray(picture.convert("RGBA"))[::-1])
-        context.restore()
-
-
 def _add_legend(axes: Axes, frame: Frame, scene: Scene, layers: Layers) -> None:
+    from matplotlib.offsetbox import AnnotationBbox, OffsetImage
+
+    from modsim3d.view.frame_artist import POINTS_PER_IN, TEXT_PT
+
     width_pt = axes.bbox.width * POINTS_PER_IN / axes.figure.figure.dpi
     entries = detection_entries(layers, scene.annotation.mode, faults_of([frame]))
     strip = legend(entries, round(KEY_DETAIL * width_pt), KEY_DETAIL * TEXT_PT)

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox
 
+import modsim3d
 from modsim3d import CameraView, ModsimError, Window, frame_picture, load_scene, simulate_frames
 from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import Outcome, frame_outcomes
@@ -83,6 +84,7 @@ def test_a_pickled_frame_draws_itself_and_one_without_scene_or_matplotlib_says_w
         replace(frame, scene=None).plot()
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     monkeypatch.delitem(sys.modules, "modsim3d.view.frame_plot")
+    assert modsim3d.plot_frame.__doc__, "help(modsim3d) looks at every name"
     with pytest.raises(ModsimError, match=r"modsim3d\[view\]"):
         frame.plot()
 
