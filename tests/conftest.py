@@ -16,7 +16,6 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from modsim3d.cli.main import COLLECT_AFTER
-from modsim3d.core import errors
 from modsim3d.learn import self_check
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
@@ -35,7 +34,6 @@ threadpool_limits(1, user_api="blas")
 typer.testing._get_command = functools.cache(typer.main.get_command)
 
 self_check.SEEDS = 2  # what is learned is compared with real results over fewer seeds than a user's
-errors.as_raised = lambda text, raised: text  # texts of errors as they are written
 
 ROOT = Path(__file__).resolve().parents[1]
 TERMINAL = (

@@ -11,16 +11,17 @@ _OPTION = re.compile(r"--([a-z][a-z-]*)( (?=[A-Z]|-?\d))?")  # with the space be
 
 
 def as_raised(text: str, raised: TracebackType | None) -> str:
-    """The text of an error for who caught it: with arguments of the function that was called, if that is no part of
-    modsim3d; the command line is one."""
-    inside = [frame.f_code for frame, _ in walk_tb(raised) if _in_package(frame)]
-    if raised is None or _in_package(raised.tb_frame) or not inside:
+    """The text of an error for who caught it: with arguments of the function that was called, if who caught it is no
+    part of modsim3d and the function is none of the command line."""
+    inside = [frame for frame, _ in walk_tb(raised) if _in_package(frame)]
+    if raised is None or _in_package(raised.tb_frame) or not inside or _in_package(inside[0], "modsim3d.cli."):
         return text
-    return with_arguments(text, inside[0].co_varnames[: inside[0].co_argcount + inside[0].co_kwonlyargcount])
+    code = inside[0].f_code
+    return with_arguments(text, code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
 
 
-def _in_package(frame: FrameType) -> bool:
-    return str(frame.f_globals.get("__name__")).startswith("modsim3d.")
+def _in_package(frame: FrameType, package: str = "modsim3d.") -> bool:
+    return str(frame.f_globals.get("__name__")).startswith(package)
 
 
 def with_arguments(text: str, parameters: Collection[str] = ()) -> str:

@@ -86,7 +86,7 @@ BAD = [
     ("transition_matrix", [], "transition_matrix: is 0 × 0, must be 2 × 2"),
     (CONFUSION, [[0.5, 0.2], [0.1, 0.4], [0.44, 0.4]], "sums to 1.04, must sum to 1; to change misses alone, set miss"),
     (CONFUSION, [[50, 20], [10, 40], [40, 40]], "states.fog.confusion: has counts (50), must have shares of each true"),
-    (CONFUSION, [[50, 20], [10, 40], [40, 40]], "; modsim3d learn --from-figures makes a detector file of a confusion"),
+    (CONFUSION, [[50, 20], [10, 40], [40, 40]], "; modsim3d.learn_from_figures makes a detector file of a confusion"),
     (CONFUSION, [[0.5, 0.2], [0.5, 0.8]], "is 2 × 2, must be 3 × 2: rows"),
     (f"{ERROR}.std", [0.1, 0.1], "states.fog.box_error: std: a number from 0 is needed, or a list of one for each of"),
     (f"{ERROR}.std", -0.1, "for each of e_x, e_y, e_w, e_h (got -0.1)"),

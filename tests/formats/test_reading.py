@@ -165,9 +165,9 @@ def test_mot(tmp_path):
         read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
     places = [line.partition(":")[0] for line in raised.value.problems[:-1]]
     assert places == [f"det.txt line {k}" for k in (3, 4, 1, 2, 5)]
-    assert raised.value.problems[-1].startswith("confidences are from 0.9 to 7 here: --confidence-scale")
+    assert raised.value.problems[-1].startswith("confidences are from 0.9 to 7 here: confidence_scale")
     (tmp_path / "seqinfo.ini").unlink()
-    refused("give --image-size", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
+    refused("give image_size_px", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
 
 
 def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
@@ -207,7 +207,7 @@ def test_yolo(tmp_path):
     assert labelled.results.image.tolist() == [2] and labelled.results.confidence.tolist() == [0.75]
     (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2\n0.5 0.1 0.1 0.1 0.1 0.9\n0 400 300 20 20 0.9\n")
     refused(r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares", truth, predictions, given)
-    refused("give --image-size", truth, predictions, ReadOptions())
+    refused("give image_size_px", truth, predictions, ReadOptions())
 
 
 def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=()):

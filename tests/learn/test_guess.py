@@ -281,6 +281,6 @@ def test_states_that_do_not_fit_the_conditions_are_refused_at_once():
     with pytest.raises(InputError) as raised:
         parse_states(["good=day,nihgt", "bad=day", "worse", "good=fog"], ["day", "night", "fog"])
     for problem in ("did you mean 'night'?", "condition 'day' is already in state 'good'",
-                    "--states worse: must be NAME=CONDITION", "state 'good' is given twice"):  # fmt: skip
+                    "states worse: must be NAME=CONDITION", "state 'good' is given twice"):  # fmt: skip
         assert problem in str(raised.value)
     assert parse_states(["good=day, fog"], ["day", "night", "fog"]).states == {"good": ("day", "fog")}

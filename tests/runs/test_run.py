@@ -136,7 +136,7 @@ def test_interrupted_run_goes_on_to_the_same_bytes_with_the_same_settings_only(s
     assert not (folder / "run.json").exists()
     lines = (folder / "unfinished" / "detections_C0.jsonl").read_text().splitlines()
     assert len(lines) == 240 and all(json.loads(line) for line in lines)
-    with pytest.raises(RunDirectoryError, match="--resume or --overwrite"):
+    with pytest.raises(RunDirectoryError, match="resume=True or overwrite=True"):
         run_scene(scene, folder)
     with pytest.raises(RunDirectoryError, match="another scene, seed, settings or version"):
         run_scene(load_scene("simulation_1", mode=2, steps=STEPS, seed=5), folder, resume=True)

@@ -131,7 +131,9 @@ def test_degrees_are_radians_and_a_setting_replaces_the_other_form(tmp_path: Pat
     assert (mount.roll_rad, mount.pitch_rad, mount.yaw_rad) == pytest.approx((math.pi, math.radians(9), 0.1))
     (camera,) = scene_with(tmp_path, file, settings={"cameras.bow.K": K}).cameras
     assert camera.intrinsics.principal_point_px == (310.5, 230.5)
-    with pytest.raises(InputError, match=r"--set cameras\.bow\.skew: does not go with K: leave one of them out"):
+    with pytest.raises(
+        InputError, match=r"settings\[.cameras\.bow\.skew.\]: does not go with K: leave one of them out"
+    ):
         scene_with(tmp_path, {**SIZE, "K": K}, settings={"cameras.bow.skew": 2})
 
 

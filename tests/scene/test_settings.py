@@ -124,7 +124,7 @@ def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(
         ("foo", 1, "unknown key foo (known: steps"),
     ):
         (problem,) = problems(scene, settings={key: value})
-        assert problem.startswith(f"--set {key}: ") and said in problem, problem
+        assert problem.startswith(f'settings["{key}"]: ') and said in problem, problem
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(
 def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(key: str, value: float, works: str) -> None:
     setting = {key: value}
     found = problems("strait", settings=setting)
-    assert found[0].startswith(f"--set {key}") and works in found[0]
+    assert found[0].startswith(f'settings["{key}"]') and works in found[0]
     with pytest.raises(InputError, match=works):
         choose_detector("coastal", settings=setting)
     assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
@@ -149,7 +149,7 @@ def test_a_state_is_forced_for_the_whole_scene_and_conditions_and_files_replace_
     names = [state.name for state in loaded.detector.states]
     forced = loaded.detector.performance.forced(loaded.times_s(0, loaded.steps), [0] * loaded.steps)
     assert [names[index] for index in forced] == ["fog"] * loaded.steps
-    assert problems(scene, state="haze") == ("--state: unknown state 'haze' (known: clear, fog)",)
+    assert problems(scene, state="haze") == ("state: unknown state 'haze' (known: clear, fog)",)
     key = "detector.states.clear.confidence.visibility_slope"
     (found,) = problems("strait", settings={key: 0.1}, state="haze")
     assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
@@ -164,7 +164,7 @@ def test_a_state_is_forced_for_the_whole_scene_and_conditions_and_files_replace_
         assert load_scene(scene, state=name, state_from="conditions").copy.files["detector.yaml"] == file.resolve()
     with pytest.raises(InputError, match=r"there is no 'rain' \(known: afternoon_cloudy_rain, evening_cloudy_rain"):
         load_scene(scene, state="rain", state_from="conditions")
-    with pytest.raises(InputError, match="--state says which one"):
+    with pytest.raises(InputError, match="state says which one"):
         load_scene(scene, state_from="conditions")
 
 
@@ -191,7 +191,7 @@ def test_the_detector_of_a_finished_run_can_be_changed_and_its_truth_not(scene: 
     detect_run(stored, tmp_path / "again", settings={FOG_RATE: 0.25}, state="fog")
     detector = open_run(tmp_path / "again").scene.detector
     assert (detector.states[1].false_discovery_rate, detector.performance.schedule) == (0.25, ((0.0, 1),))
-    with pytest.raises(InputError, match=r"--set waves.level:\n  a finished run keeps its truth"):
+    with pytest.raises(InputError, match=r"settings\[.waves.level.\]:\n  a finished run keeps its truth"):
         detect_run(stored, tmp_path / "other", settings={"waves.level": "small"})
     assert not (tmp_path / "other").exists()
 

@@ -52,10 +52,10 @@ def test_distances_are_means_over_frames_and_a_larger_power_and_hidden_vessels_h
     scored = hand_made([(0, 0, box())], [(1, 7, box())], 1, cameras=2, rules=RULES)
     assert errors.gospa(scored) == errors.Gospa(5, 0, 2.5, 2.5)
     for cutoff in (0, -1, 1e200, np.inf, np.nan):
-        with pytest.raises(ModsimError, match="--gospa C: must be above 0 and at most 1,000,000"):
+        with pytest.raises(ModsimError, match="gospa_c: must be above 0 and at most 1,000,000"):
             SetDistance(cutoff=cutoff, power=10)
     for power in (0.9, 11, np.nan):
-        with pytest.raises(ModsimError, match="--gospa C:P: must have a power from 1 to 10"):
+        with pytest.raises(ModsimError, match="gospa_p: must have a power from 1 to 10"):
             SetDistance(power=power)
 
 

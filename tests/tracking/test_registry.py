@@ -44,7 +44,7 @@ def test_names_are_the_built_in_ones_first_and_wrong_names_and_settings_are_told
     built_in = ("reference", "sort", "bytetrack", "ocsort", "stonesoup_gnn", "stonesoup_jpda")
     built_in += ("world_gnn", "world_jpda")
     assert tracker_names()[:8] == built_in
-    with pytest.raises(InputError, match=r"(?s)--tracker.*'refrence'.*modsim3d\.trackers.*did you mean 'reference'"):
+    with pytest.raises(InputError, match=r"(?s)^tracker.*'refrence'.*modsim3d\.trackers.*did you mean 'reference'"):
         named_tracker("refrence", {}, "strait")
     with pytest.raises(InputError, match=f"known: {', '.join(built_in)}"):
         named_tracker("../../x", {}, "strait")

@@ -84,7 +84,7 @@ def test_by_class_each_label_has_its_own_matching_and_a_track_without_one_is_ref
     assert (second["hota"], second["mota"], second["misses"]) == (0, 0, 2)
     assert found.as_json()["by_class"] == {LABELS[0]: first, LABELS[1]: second}
     tracks = [(0, 1, A, 0), (0, 2, B), (1, 1, A, 0)]
-    said = r"^--by class needs a label .* 1 of 3 rows have none: score without it$"
+    said = r"^by_class=True needs a label .* 1 of 3 rows have none: score without it$"
     with pytest.raises(ModsimError, match=said):
         scores_of([(0, 0, A)], tracks, 2, BY_CLASS)
     assert scores_of([(0, 0, A)], tracks, 2).by_class == {}

@@ -106,7 +106,7 @@ def test_what_is_written_says_how_it_was_made_is_the_same_again_and_refused_wher
     tracks = tmp_path / "tracks"
     modsim3d.track_run(run, tracks, tracker="sort")
     frames: list[int] = []
-    with pytest.raises(OutputError, match="exists: use --overwrite"):
+    with pytest.raises(OutputError, match="exists: use overwrite=True"):
         modsim3d.track_run(run, tracks, tracker="sort", progress=frames.append)
     assert frames == []
     before = (tracks / "tracks.parquet").read_bytes()
@@ -135,7 +135,9 @@ def test_an_unwritable_folder_or_one_in_the_run_is_refused_before_the_work(run, 
 
 def test_a_tracker_that_fails_leaves_nothing_and_an_interrupted_run_is_refused(run, tmp_path, monkeypatch) -> None:
     interrupt(load_scene(crossing(tmp_path, 5), source="analytic"), tmp_path / "run")
-    with pytest.raises(RunDirectoryError, match="interrupted run: finish it with `modsim3d run SCENE --resume` first"):
+    with pytest.raises(
+        RunDirectoryError, match=r"interrupted run: finish it with `modsim3d\.run_scene\(…, resume=True\)`"
+    ):
         modsim3d.track_run(tmp_path / "run", tmp_path / "tracks", tracker="sort")
     monkeypatch.setattr(EveryBox, "follow", lambda self, frames, camera: iter(()))
     with pytest.raises(ModsimError, match="the tracker 'sort': camera 'C0' at 0 s: it ended after 0 of 40 frames"):

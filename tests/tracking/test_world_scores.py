@@ -216,11 +216,11 @@ def test_distances_must_be_above_zero_and_the_page_marks_vessels_that_no_track_f
             score_world(rows, perfect(scored), **wrong)
     (tmp_path / "one.csv").write_text("time_s,track,w1_m,w2_m\n0,a,1,2\n")
     for rules, said in (
-        ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
-        ({"similarity": "centre", "scale_px": 9.0}, "--similarity: for tracks in the images"),
-        ({"truth": "full"}, "--vessels: for tracks in the images"),
-        ({"by_class": True}, "--by class: for"),
-        ({"gap_s": 5.0}, "--gap: for"),
+        ({"threshold": 0.7}, "^threshold: for tracks in the images, and none are given: leave out; .* gate_m"),
+        ({"similarity": "centre", "scale_px": 9.0}, "^similarity: for tracks in the images"),
+        ({"truth": "full"}, "^truth: for tracks in the images"),
+        ({"by_class": True}, "^by_class=True: for"),
+        ({"gap_s": 5.0}, "^gap_s: for"),
     ):
         with pytest.raises(ModsimError, match=said):
             score_run(run, tmp_path / "one.csv", **rules)

@@ -115,8 +115,8 @@ def test_centre_similarity_falls_linearly_to_the_scale_and_one_that_cannot_be_is
         ({"name": "centre"}, "similarity centre needs scale_px"),
         ({"scale_px": 5.0}, "a scale is for similarity centre"),
         ({"name": "centre", "scale_px": 0.0}, "the scale of similarity centre must be above 0"),
-        ({"least": 0.0}, "--threshold must be above 0"),
-        ({"least": 1.5}, "--threshold must be above 0 and at most 1"),
+        ({"least": 0.0}, "^threshold must be above 0"),
+        ({"least": 1.5}, "^threshold must be above 0 and at most 1"),
     )
     for given_keys, message in wrong:
         with pytest.raises(ModsimError, match=message):

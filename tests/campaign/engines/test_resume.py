@@ -141,7 +141,7 @@ def test_shards_are_even_where_all_runs_share_one_truth(campaigns: Campaigns, ou
 def test_what_depends_on_other_runs_is_refused(campaigns: Campaigns, out: Path) -> None:
     with pytest.raises(ModsimError, match="stop: sequential looks at the runs of all parts"):
         campaigns.run_part("sequential", no_engine, out, 1, 2)
-    with pytest.raises(ModsimError, match=r"--shard 3/2: there are the parts 1/2 to 2/2"):
+    with pytest.raises(ModsimError, match=r"shard=\(3, 2\): there are the parts 1/2 to 2/2"):
         campaigns.run_part("plain", no_engine, out, 3, 2)
     assert not (out).exists()
 

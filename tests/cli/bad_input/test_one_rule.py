@@ -162,7 +162,7 @@ def test_neither_do_results_in_python_replace_what_they_are_made_of_or_what_is_t
         with pytest.raises(OutputError, match="is read by this command"):
             result.write(tmp_path / name, overwrite=True)
     for write in (partial(result.write, tmp_path / "learned.yaml"), verified.write):
-        with pytest.raises(OutputError, match="exists: use --overwrite"):
+        with pytest.raises(OutputError, match="exists: use overwrite=True"):
             write()
     assert content(tmp_path) == before
     verified.write(overwrite=True)

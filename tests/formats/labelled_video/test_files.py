@@ -184,7 +184,7 @@ def test_what_an_earlier_result_had_does_not_stay_beside_a_new_one(tmp_path: Pat
     write(tmp_path / "gt.json", coco(TWO))
     modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "out", detector="thesis", frame_rate_hz=5)
     (tmp_path / "out" / "notes.txt").write_text("mine")
-    with pytest.raises(ModsimError, match="holds a run: use --overwrite"):
+    with pytest.raises(ModsimError, match="holds a run: use overwrite=True"):
         modsim3d.detect_truth(mot(tmp_path / "bay"), tmp_path / "out", detector="thesis")
     result = modsim3d.detect_truth(tmp_path / "bay/gt/gt.txt", tmp_path / "out", detector="thesis", overwrite=True)
     kept = {str(path.relative_to(tmp_path / "out")) for path in result.files}

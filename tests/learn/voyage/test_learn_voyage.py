@@ -116,9 +116,9 @@ def test_logs_that_name_no_camera_are_of_those_that_are_given(voyage: Path) -> N
 
     assert views("bow", "quay") == ["bow", "quay"]
     logs[1] = logs[0]
-    with pytest.raises(ModsimError, match=r"--detections .*detections_bow.csv is given twice: its frames would count"):
+    with pytest.raises(ModsimError, match=r"detections .*detections_bow.csv is given twice: its frames would count"):
         views("bow")
-    with pytest.raises(ModsimError, match=r"--camera is given 3 times, with 2 logs: .* for each in their order"):
+    with pytest.raises(ModsimError, match=r"cameras is given 3 times, with 2 logs: .* for each in their order"):
         views("bow", "quay", "bow")
 
 

@@ -55,7 +55,7 @@ def test_every_format_gives_the_same_frames_and_detections(voyage: Path, strait:
 def test_logs_of_several_cameras_say_which(voyage: Path, strait: Scene) -> None:
     for name in ("run", "stream", "COCO", "MCAP"):
         assert [each.camera for each in on_scene(log_of(voyage, name), strait).cameras] == [0, 1]
-    with pytest.raises(InputError, match=r"which camera .*bow, quay.*--camera"):
+    with pytest.raises(InputError, match=r"which camera .*bow, quay.*camera"):
         on_scene(log_of(voyage, "CSV"), strait)
     with pytest.raises(InputError, match="no camera 'mast'"):
         on_scene(log_of(voyage, "run"), strait, "mast")
@@ -90,7 +90,7 @@ def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_p
     said = " ".join(log.notes)
     assert captured is None or "date_captured is empty or the same in several images, so their" in said
     assert ("places in the file are taken, at 10 Hz" in said) == (numbers[0] is None)
-    with pytest.raises(InputError, match=r"a time is needed: .*, or --frame-rate|another image has the time"):
+    with pytest.raises(InputError, match=r"a time is needed: .*, or frame_rate_hz|another image has the time"):
         coco(tmp_path, images)
 
 
@@ -149,7 +149,7 @@ def test_corners_have_the_names_that_detectors_give_them_and_confidences_may_hav
         log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
         assert log.boxes_px.tolist() == [[1, 2, 30, 40]], names
     path = table(tmp_path, "0,1,2,3,4,boat,50", "1,1,2,3,4,boat,75")
-    with pytest.raises(InputError, match="--confidence-scale"):
+    with pytest.raises(InputError, match="confidence_scale"):
         read_log(path)
     assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
 
@@ -167,9 +167,9 @@ def test_frames_without_detections_come_from_the_usual_gap_a_frame_rate_or_empty
     np.testing.assert_allclose(log.time_s, [0, 0.25, 0.5, 0.75, 1])
     log = read_log(table(tmp_path, *boat_at(0), "1.3,,,,,,", *boat_at(9)))
     assert (log.time_s.tolist(), log.frame.tolist()) == ([0, 1.3, 9], [0, 2]) and "empty boxes" in log.frames_from
-    with pytest.raises(InputError, match=r"cannot be known: the usual gap .* give --frame-rate"):
+    with pytest.raises(InputError, match=r"cannot be known: the usual gap .* give frame_rate_hz"):
         read_log(table(tmp_path, *boat_at(0, 1, 2.5, 3.2, 7, 8.45)))
-    with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit --frame-rate 3"):
+    with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit frame_rate_hz=3"):
         read_log(table(tmp_path, *boat_at(0, 0.5, 1)), LogOptions(frame_rate_hz=3))
 
 
@@ -243,18 +243,18 @@ WRONG = {
     "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: has no score (-1), but line 2 has 0.5"),
     "a score in words": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,x\n", "line 3: score must be from 0 to 1 (got 'x')"),
     "nothing": ("log.csv", HEAD, "holds no frame: it needs the times"),
-    "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give --frame-rate"),
+    "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give frame_rate_hz"),
     "a MOT frame": ("log.txt", "900000,-1,1,2,3,4,0.5\n", "frame must be a whole number from 1 to 101000"),
-    "COCO without images": ("log.json", "[]", "give the COCO file of these with --images"),
+    "COCO without images": ("log.json", "[]", "give the COCO file of these with images"),
     "COCO without times": (
         *("log.json", coco_of({})),
-        "images[0]: a time is needed: time_s, utc, date_captured, or --frame-rate, for their frame_id",
+        "images[0]: a time is needed: time_s, utc, date_captured, or frame_rate_hz, for their frame_id",
     ),
     "COCO twice at a time": ("log.json", coco_of(*[{"time_s": 1}] * 2), "images[1]: another image has the time 1 s"),
     "COCO all at one time": (
         *("log.json", coco_of(DAY, DAY, DAY)),
         "images[1]: another image has the time 2024-01-04T00:00:00Z, and 1 more; where cameras take images at one "
-        "time, each image must name its camera; where times are too coarse, --frame-rate takes their places in "
+        "time, each image must name its camera; where times are too coarse, frame_rate_hz takes their places in "
         "the file",
     ),
     "COCO at no time": (
@@ -310,8 +310,8 @@ def test_a_log_that_does_not_fit_scene_or_options_is_refused(tmp_path: Path, str
     for row, given, said in (
         ("0,1,2,3,4,boats,1", {}, r"no label 'boats' \(did you mean 'boat'\?\)"),
         (UTC_ROW, {}, r"its times are UTC .* does not say when it starts"),
-        (ROW, {"images": Path("gt.json")}, r"--images:\n +is for COCO results, and .*log.csv says itself"),
-        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave --log-start out"),  # for logs that count from zero
+        (ROW, {"images": Path("gt.json")}, r"images:\n +is for COCO results, and .*log.csv says itself"),
+        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave start out"),  # for logs that count from zero
     ):
         with pytest.raises(InputError, match=said):
             on_scene(read_log(table(tmp_path, row), LogOptions(**given)), strait, "bow")

@@ -335,6 +335,6 @@ def test_names_and_values_are_read_and_what_is_no_mean_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=re.escape(said)):
             parse_known(text)
-    with pytest.raises(InputError, match="--fixed all leaves out"):
+    with pytest.raises(InputError, match=r"fixed=.all. leaves out"):
         camera_registration.check_known(KnownMeans(mean_x_px=1), ("all",))
     camera_registration.check_known(KnownMeans(delay_s=1), ("all",))

@@ -320,9 +320,9 @@ def test_slow_vessels_have_three_minutes_and_the_limit_is_an_option(scene: Scene
     assert ignored(scene, labelled_at(scene, tmp_path, [200], options=longer), STALE, 0) == [False]
     shorter = VoyageOptions(stale_s=stale_limit_s(scene, 2))
     assert ignored(scene, labelled_at(scene, tmp_path, [205], options=shorter), FRESH, 0) == [True]
-    with pytest.raises(InputError, match=r"--stale:\n +must be seconds above 0"):
+    with pytest.raises(InputError, match=r"stale_s:\n +must be seconds above 0"):
         stale_limit_s(scene, 0)
-    with pytest.raises(InputError, match=r"--stale:\n.* was not made by modsim3d ais"):
+    with pytest.raises(InputError, match=r"stale_s:\n.* was not made by modsim3d.ais"):
         stale_limit_s(load_scene("strait", steps=2), 90)
 
 
