@@ -68,7 +68,8 @@ def test_a_file_name_of_two_images_stands_for_neither_and_categories_can_be_move
     labelled = read_pair("day", truth, detections)
     assert labelled.images.names == ("north", "south") and labelled.results.image.tolist() == [0]
     files = coco(tmp_path, [result(11, 0), result(12, 1)])
-    hint = "category IDs are off by one: add 1 to those of the detections, with `modsim3d.learn_detector` by category_offset=1"
+    hint = "category IDs are off by one: add 1 to those of the detections, with `modsim3d.learn_detector` by "
+    hint += "category_offset=1"
     refused(rf"\[0\]: unknown category_id 0 \(known: 1, 2\)\n  {hint}\Z", *files)
     assert read_pair("day", *files, ReadOptions(category_offset=1)).results.label.tolist() == [0, 1]
     refused(r"\[1\]: unknown category_id 7 .*\Z", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())
