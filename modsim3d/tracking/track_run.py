@@ -112,7 +112,7 @@ def track_run(
     Raises:
         ModsimError: The run was interrupted, there is no such tracker or setting, the tracker fails, or the folder
             cannot be used.
-        TypeError: The run or the folder is neither text nor a path, or the settings are no mapping.
+        TypeError: The run or the folder is neither text nor a path, settings are no mapping, or the command is text.
     """
     run, folder = opened_run(run), as_path(folder, "folder", "a folder for tracks")
     run.finished_tables.check_checksums()

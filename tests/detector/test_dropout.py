@@ -274,7 +274,7 @@ def test_a_state_may_be_the_only_one_with_effects_and_needs_distances():
     own = run(data_with({}, {"distance_m": FOG}), frames, targets)
     assert all_bytes(own) != all_bytes(run(detector_data(), frames, targets))
     model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
-    with pytest.raises(InputError, match=r"--set detector\.states\.fog\.dropout\.distance_m=null$"):
+    with pytest.raises(InputError, match=r"settings=\{.detector\.states\.fog\.dropout\.distance_m.: None\}$"):
         check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))
 
 

@@ -89,14 +89,14 @@ def test_keys_of_scene_vessels_and_detector_can_be_set_and_every_wrong_one_is_to
     assert (found.true, found.false) == (NormalScores(0.6, 0.1), NormalScores(0.6, 0.1))
     inputs.data["detector"]["confidence_threshold"] = 3
     said = problems(inputs.write(), settings={"foo": 1, "detector.bar": 2, "seed": -1})
-    beginnings = ["--set foo", "--set detector.bar", "--set seed", "detector"]
+    beginnings = [*(f'settings["{key}"]' for key in ("foo", "detector.bar", "seed")), "detector"]
     assert [line.partition(":")[0].split(" /")[0] for line in said] == beginnings
     inputs.data["detector"] = load_yaml(RICH, "detector")
     for entry, label in zip(inputs.data["vessels"].values(), ("ferry", "sailboat"), strict=True):
         entry["label"] = label
     (problem,) = problems(inputs.write(), state="noon_clear", state_from="conditions")
-    assert problem.startswith("--state noon_clear --from conditions: this detector has the labels Vessel, and the ")
-    assert "ferry, sailboat" in problem and "modsim3d learn --from-condition" in problem
+    assert problem.startswith('state="noon_clear", state_from="conditions": this detector has the labels Vessel')
+    assert "ferry, sailboat" in problem and "modsim3d.guess_detector" in problem
 
 
 def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(scene):
@@ -152,7 +152,7 @@ def test_a_state_is_forced_for_the_whole_scene_and_conditions_and_files_replace_
     assert problems(scene, state="haze") == ("state: unknown state 'haze' (known: clear, fog)",)
     key = "detector.states.clear.confidence.visibility_slope"
     (found,) = problems("strait", settings={key: 0.1}, state="haze")
-    assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
+    assert found.startswith(f'settings["{key}"]: states.clear: the detector is never in state clear, but in haze')
     (tmp_path / "mine").mkdir()
     calm = tmp_path / "mine" / "calm.yaml"
     calm.write_text(detector_text(GOOD["detector"]))

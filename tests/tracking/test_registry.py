@@ -13,7 +13,7 @@ from modsim3d.io.plugins import TRACKERS, Plugin
 from modsim3d.tracking.trackers import registry
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn, tracker_names
-from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.registry import command_tracker, named_tracker
 
 
 class Toy(Tracker):
@@ -53,6 +53,8 @@ def test_names_are_the_built_in_ones_first_and_wrong_names_and_settings_are_told
     assert caught.value.source == "settings of the tracker 'sort'"
     gate, hits = sorted(caught.value.problems)
     assert gate == "gat: unknown key (did you mean 'gate'?)" and "hits: " in hits and "(got 'many')" in hits
+    with pytest.raises(TypeError, match="command: a list of a program and its arguments is needed"):
+        command_tracker("./my_tracker --fast", {})
     with pytest.raises(TypeError, match="a mapping of names to values"):
         named_tracker("sort", ["gate"], "strait")  # type: ignore[arg-type]
 

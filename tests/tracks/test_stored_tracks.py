@@ -72,7 +72,7 @@ def test_the_same_tracks_give_the_same_bytes_and_columns_say_what_they_are(writt
 
 
 def test_tracks_are_not_written_over_and_those_of_another_seed_are_refused(written, small_run, small_tracks, tmp_path):
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         write_tracks(written, small_run, TrackSet("toy", small_tracks, ORIGIN), overwrite=False)
     write_tracks(written, small_run, TrackSet("toy", small_tracks.take(np.arange(3)), ORIGIN), overwrite=True)
     assert pq.read_metadata(written / "tracks.parquet").num_rows == 3

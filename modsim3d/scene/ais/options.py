@@ -44,7 +44,8 @@ class Options:
 
     def check_labels(self, groups: Iterable[str]) -> None:
         """Raise InputError with every group, of those that are there, that has no label of the detector."""
-        lacking = [group for group in sorted(set(groups)) if not self.label(group)]
+        missing = [group for group in sorted(set(groups)) if not self.label(group)]
+        lacking = [f"{group} (not {shown(self.labels[group])})" if group in self.labels else group for group in missing]
         if lacking:
             problem = f"the detector has no label for {', '.join(lacking)}: give --label GROUP=LABEL for each"
             raise InputError(COMMAND_LINE, [f"--detector: {problem}, with {' or '.join(self.detector_labels)}"])

@@ -16,7 +16,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin
 from modsim3d.io.strict_text import load_yaml
-from modsim3d.io.validation import Strict, describe
+from modsim3d.io.validation import Strict, describe, shown
 from modsim3d.scene.settings import plain
 from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S, RUNS_OTHERS, CommandTracker, argument_files
 from modsim3d.tracking.trackers.interface import Tracker
@@ -129,7 +129,10 @@ def command_tracker(
 ) -> NamedTracker:
     """A program as a tracker. `command` has its name and its arguments; it is started in `folder`, the working
     directory if None. `files` decide what it does beside its own, those among its arguments if None. Raises InputError
-    if there is no such program or file, or the settings cannot be written as JSON."""
+    if there is no such program or file, or the settings cannot be written as JSON, and TypeError if the command is
+    text."""
+    if isinstance(command, str):
+        raise TypeError(f"command: a list of a program and its arguments is needed (got {shown(command)})")
     given, folder = {str(key): plain(value) for key, value in settings.items()}, (folder or Path()).absolute()
     own = tuple(argument_files(command, folder) if files is None else files)
     tracker = CommandTracker(command=tuple(command), folder=folder, timeout_s=timeout_s, settings=given, files=own)

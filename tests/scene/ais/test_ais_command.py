@@ -59,7 +59,7 @@ def test_groups_have_labels_of_the_detector_which_are_printed_and_asked_for_wher
     assert (tmp_path / "coastal" / "detector.yaml").read_bytes() == shipped.read_bytes()
     asked = ("ais", DANISH, "--out", tmp_path / "three", "--end", "+5", "--detector", "three_labels")
     status, said = call(*asked, "--label", "cargo=lighthouse")
-    assert status == 2 and "the detector has no label for cargo, tug: give --label GROUP=LABEL for each" in said
+    assert status == 2 and "the detector has no label for cargo (not 'lighthouse'), tug: give --label" in said
     assert "with sailboat or motorboat or ferry" in said and not (tmp_path / "three").exists()
     assert call(*asked, *(word for group in ("cargo", "tug") for word in ("--label", f"{group}=Ferry")))[0] == 0
     assert call("run", tmp_path / "three", "--no-sheet", "--out", tmp_path / "run")[0] == 0
