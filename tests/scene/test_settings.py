@@ -106,7 +106,7 @@ def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(
     assert loaded.detector.states[0].false_discovery_rate == 0.3
     (problem,) = problems(scene, settings={"detector.transition_matrix.0.1": 0.5})
     assert "transition_matrix: column 'fog' sums to 1.3" in problem
-    assert problem.endswith("(after --set detector.transition_matrix.0.1)")
+    assert problem.endswith('(after settings["detector.transition_matrix.0.1"])')
     for key, value, said in (
         ("detector.sates.clear.confusion", 1, "unknown key detector.sates (did you mean 'states'?)"),
         ("detector.states.haze.confusion", 1, "detector.states has no 'haze' (known: clear, fog)"),

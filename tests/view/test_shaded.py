@@ -221,7 +221,7 @@ def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility_which_is_a_pos
     np.testing.assert_allclose((air - at_visibility) / air, 0.02, rtol=1e-4)
     np.testing.assert_array_equal(fogged(np.ones((1, 3)), np.array([0.0]), style), 1)
     for value in (0.0, -5.0, math.inf, math.nan):
-        with pytest.raises(ModsimError, match="--look fog"):
+        with pytest.raises(ModsimError, match="look fog"):
             RenderStyle(shaded=True, visibility_m=value)
 
 

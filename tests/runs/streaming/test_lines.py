@@ -137,7 +137,7 @@ def test_an_address_is_read_and_written_and_told_where_it_is_taken_or_of_another
     said = r"cannot listen there: .*; port 0 takes any free port"
     with closing(Address("127.0.0.1", 0).listen(4096)) as taken, pytest.raises(ModsimError, match=said):
         Address("127.0.0.1", taken.getsockname()[1]).listen(4096)
-    with pytest.raises(ModsimError, match=r"--to tcp://192\.0\.2\.1:5000: cannot listen there"):
+    with pytest.raises(ModsimError, match=r"to tcp://192\.0\.2\.1:5000: cannot listen there"):
         Address("192.0.2.1", 5000).listen(4096)
 
 
@@ -153,7 +153,7 @@ def test_an_address_is_read_and_written_and_told_where_it_is_taken_or_of_another
 def test_what_is_no_address_is_told(text: str, part: str) -> None:
     with pytest.raises(ModsimError) as caught:
         Address.parse(text)
-    assert str(caught.value).startswith(f"--to '{text}': ") and part in str(caught.value)
+    assert str(caught.value).startswith(f"to '{text}': ") and part in str(caught.value)
 
 
 def test_ipv6_listens_where_there_is_some() -> None:

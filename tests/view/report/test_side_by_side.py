@@ -205,7 +205,7 @@ def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other
 def test_runs_of_other_truth_are_refused_with_what_differs(run_folder, mistaken_folder, other_folder, tmp_path):
     first = open_run(mistaken_folder)
     check_same_truth(first, open_run(other_folder))
-    with pytest.raises(RunDirectoryError, match=r"show different truth, in the cameras: .*modsim3d detect"):
+    with pytest.raises(RunDirectoryError, match=r"show different truth, in the cameras: .*modsim3d.detect_run"):
         check_same_truth(first, open_run(run_folder))
     runs = []
     for far in (150, 151):
