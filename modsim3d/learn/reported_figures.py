@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import Overlaps, areas, corner_form, iou
@@ -43,6 +43,9 @@ def _rate(value: Any) -> Any:
 
 
 Rate = Annotated[Any, AfterValidator(_rate)]
+Ap = Annotated[
+    Probability | None, BeforeValidator(lambda value: None if value == -1 else value)
+]  # COCO's for no object
 
 
 class Report(Strict):
@@ -59,9 +62,9 @@ class Report(Strict):
     mean_iou: Probability | None = None
     map50: Probability | None = None
     map50_95: Probability | None = None
-    ap_small: Probability | None = None
-    ap_medium: Probability | None = None
-    ap_large: Probability | None = None
+    ap_small: Ap = None
+    ap_medium: Ap = None
+    ap_large: Ap = None
 
     @classmethod
     def of(cls, content: Any, source: str) -> Self:
@@ -384,6 +387,8 @@ def _made(content: Any, source: str, *inputs: Path) -> ReportedDetector:
     def figures(spread: float, sharpness: float = 1.0, below: float = 0.0) -> dict[str, float]:
         return sample.figures(parse_detector(_content(report, cells, spread, sharpness, below), source))
 
+    if (report.map50_95 or 0) > (report.map50 or 1):
+        contradictions.append("map50_95 is higher than map50, though AP falls as the least IoU rises")
     by_ratio = report.mean_iou is None and bool(report.map50 and report.map50_95)
     wanted = (report.map50_95 or 0) / (report.map50 or 1) if by_ratio else report.mean_iou or 0.8
     if report.mean_iou is None and not by_ratio:

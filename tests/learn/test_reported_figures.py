@@ -78,6 +78,8 @@ def test_mean_iou_and_the_ratio_of_average_precisions_are_solved_for(wanted: flo
     again = modsim3d.learn_from_figures({**PLAIN, "map50": simulated["map50"], "map50_95": simulated["map50_95"]})
     assert again.figures["mean_iou"] == (None, pytest.approx(wanted, abs=0.01))
     assert again.figures["map50"][1] == pytest.approx(simulated["map50"], abs=0.01)
+    exchanged = modsim3d.learn_from_figures({**PLAIN, "map50": simulated["map50_95"], "map50_95": simulated["map50"]})
+    assert "map50_95 is higher than map50" in exchanged.contradictions[0]
 
 
 def test_average_precision_by_size_makes_small_vessels_missed_more_often() -> None:
@@ -85,6 +87,10 @@ def test_average_precision_by_size_makes_small_vessels_missed_more_often() -> No
     assert made.content["dropout"]["size_px"]["per_doubling"] < -0.5
     small, large = (made.figures[name][1] for name in ("ap_small", "ap_large"))
     assert small / large == pytest.approx(1 / 3, abs=0.2) and made.figures["recall"][1] == pytest.approx(0.8, abs=0.01)
+    unknown = modsim3d.learn_from_figures(
+        {**PLAIN, "ap_small": -1, "ap_medium": 0.5, "ap_large": 0.6}
+    )  # as COCO says it
+    assert unknown.figures["ap_small"][0] is None and unknown.figures["ap_large"][0] == 0.6
 
 
 @pytest.mark.parametrize(
