@@ -180,7 +180,7 @@ def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_closed_mesh_and_na
     for one, other in zip(simulate_frames(scene), simulate_frames(plain), strict=True):
         np.testing.assert_array_equal(one.truth.visible_px, other.truth.visible_px)
         np.testing.assert_array_equal(one.truth.full_boxes_px, other.truth.full_boxes_px)
-    with pytest.raises(InputError, match=r"vessels\.boat\.mesh: nothing is called 'bargee' here.*barge"):
+    with pytest.raises(InputError, match=r'vessels\.boat\.mesh"\]: nothing is called .bargee. here.*barge'):
         load_scene(path, settings={"vessels.boat.mesh": "bargee"})
     solid, plugin = find_shape("barge", "vessels.a.shape")
     np.testing.assert_array_equal(solid.vertices, shoebox().vertices)
