@@ -1,26 +1,109 @@
-"""Films of a run, read back, and how long each frame is shown."""
+"""Films of a run and pictures as they are written, read back with other eyes, and how long each frame is shown."""
 
+import io
 import re
 import shutil
 import struct
 import subprocess
 import sys
+from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from modsim3d import load_scene, open_run, run_scene
+from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.selection import select
 from modsim3d.view import palette
+from modsim3d.view.films.files import UNCHANGED, film_palette, quantised, write_gif
 from modsim3d.view.films.plan import KINDS, MIN_RATE, FilmLayout, Timetable, crop_to_vessels
 from modsim3d.view.films.request import PictureRequest
 from modsim3d.view.pictures import id_buffer
 from tests.command_line import call
 from tests.scenes import camera_keys, crossing
-from tests.view.test_encoded import shown
+
+
+def gif_of(frames, ticks, colours):
+    out = io.BytesIO()
+    write_gif(out, colours, zip(map(Image.fromarray, frames), ticks, strict=True))
+    return Image.open(io.BytesIO(out.getvalue()))
+
+
+def grey():
+    holder = Image.new("P", (1, 1))
+    holder.putpalette([level for level in range(256) for _ in range(3)])
+    return holder
+
+
+def shown(film):
+    """The frames of a film, and how long all of them last."""
+    frames, total = [], 0
+    for frame in ImageSequence.Iterator(film):
+        frames.append(np.asarray(frame.convert("L")))
+        total += frame.info["duration"]
+    return frames, total
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_what_is_read_is_what_was_written(seed, count):
+    rng = np.random.default_rng(seed)
+    height, width = rng.integers(1, 40, 2)
+    frames = [rng.integers(0, UNCHANGED, (height, width), dtype=np.uint8)]
+    for _ in range(count - 1):  # like films, most of a frame is that of the one before
+        frame = frames[-1].copy()
+        frame[rng.integers(0, height) :, : rng.integers(0, width + 1)] = rng.integers(0, UNCHANGED)
+        frames.append(frame)
+    ticks = rng.integers(2, 30, count).tolist()
+    read, total = shown(gif_of(frames, ticks, grey()))
+    distinct = [frame for i, frame in enumerate(frames) if i == 0 or not np.array_equal(frame, frames[i - 1])]
+    np.testing.assert_array_equal(read, distinct)
+    assert total == 10 * sum(ticks)
+
+
+def test_pictures_are_those_read_again_colours_stay_and_a_gif_stores_only_what_changes():
+    sizes, rng = ((1, 1), (3, 2), (2, 4), (641, 77)), np.random.default_rng(0)
+    for mode, size, optimize in product(("RGB", "1", "L"), sizes, (False, True)):
+        picture = Image.fromarray(rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)).convert(mode)
+        with Image.open(io.BytesIO(encoded(picture, optimize=optimize))) as read:
+            assert (read.format, read.mode, read.size) == ("PNG", mode, size)
+            np.testing.assert_array_equal(np.asarray(read), np.asarray(picture))
+    picture = Image.linear_gradient("L").convert("RGB")
+    small, large = (encoded(picture, ".jpg", quality=quality) for quality in (30, 95))
+    assert len(small) < len(large)
+    with Image.open(io.BytesIO(large)) as read:
+        assert (read.format, read.size) == ("JPEG", picture.size)
+        assert np.abs(np.asarray(read).astype(int) - np.asarray(picture)).mean() < 1
+    picture, rng = Image.new("RGB", (60, 40), palette.SEA), np.random.default_rng(0)
+    colours = film_palette([picture])
+    for i, colour in enumerate([*palette.VESSELS, palette.ALARM, palette.TRUTH]):
+        picture.paste(colour, (5 * i, 0, 5 * i + 5, 5))
+    np.testing.assert_array_equal(np.asarray(quantised(picture, colours).convert("RGB")), np.asarray(picture))
+    for pictures in ([Image.new("RGB", (8, 8))], [Image.fromarray(rng.integers(0, 256, (99, 99, 3), dtype=np.uint8))]):
+        colours = film_palette(pictures)
+        for picture in (*pictures, Image.fromarray(rng.integers(0, 256, (99, 99, 3), dtype=np.uint8))):
+            assert np.asarray(quantised(picture, colours)).max() < UNCHANGED
+    rng, out, lengths = np.random.default_rng(0), io.BytesIO(), []
+    frames = [rng.integers(0, UNCHANGED, (200, 200), dtype=np.uint8)]
+    for row in range(10):  # far apart, so that the box around them is the whole picture
+        frames.append(frames[-1].copy())
+        frames[-1][(row, -1 - row), :] = row
+    first, all_of_them = (len(gif_of(part, [5] * len(part), grey()).fp.getvalue()) for part in (frames[:1], frames))
+    assert all_of_them < 1.5 * first
+
+    def coming():
+        for level in range(5):
+            lengths.append(out.tell())
+            yield Image.new("L", (50, 50), level), 5
+
+    write_gif(out, grey(), coming())
+    assert sorted(set(lengths[1:])) == lengths[1:]
+    two = [np.full((2, 2), level, dtype=np.uint8) for level in (0, 1)]
+    assert shown(gif_of(two, [200_000, 5], grey()))[1] == 10 * 200_005
+
 
 STEPS = 12
 
@@ -62,19 +145,6 @@ def test_mp4_plays_in_every_browser(monkeypatch, run, tmp_path, width):
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_colours_survive_the_film(monkeypatch, run, tmp_path):
-    options = ("--kind", "ids", "--width", 960, "--crop", "none")
-    assert view(monkeypatch, "film", run, *options, "--end", 1, "--out", tmp_path / "a.mp4") == 0
-    assert view(monkeypatch, "frame", run, 0, *options, "--out", tmp_path / "a.png") == 0
-    stream, pictures = probe(tmp_path / "a.mp4")
-    assert "bt709" in stream
-    still = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
-    assert np.abs(pictures[0].astype(int) - still).mean() < 2
-    for colour in (id_buffer.SEA, id_buffer.SKY, palette.VESSELS[2]):  # the ship's
-        here = (still == colour).all(axis=-1)
-        assert here.sum() > 5000 and np.abs(np.median(pictures[0][here], axis=0) - colour).max() <= 4
-
-
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, kind):
     """In a process without threads, as a user's is: its workers are forks."""
@@ -86,16 +156,23 @@ def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, 
     assert films[0].read_bytes() == films[1].read_bytes()
 
 
-def test_png_frames_are_the_single_pictures(monkeypatch, run, tmp_path):
+def test_colours_survive_pngs_are_the_single_pictures_and_a_gif_needs_no_ffmpeg(monkeypatch, run, tmp_path):
+    options = ("--kind", "ids", "--width", 960, "--crop", "none")
+    assert view(monkeypatch, "film", run, *options, "--end", 1, "--out", tmp_path / "a.mp4") == 0
+    assert view(monkeypatch, "frame", run, 0, *options, "--out", tmp_path / "a.png") == 0
+    stream, pictures = probe(tmp_path / "a.mp4")
+    assert "bt709" in stream
+    still = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
+    assert np.abs(pictures[0].astype(int) - still).mean() < 2
+    for colour in (id_buffer.SEA, id_buffer.SKY, palette.VESSELS[2]):  # the ship's
+        here = (still == colour).all(axis=-1)
+        assert here.sum() > 5000 and np.abs(np.median(pictures[0][here], axis=0) - colour).max() <= 4
     options = ("--kind", "detections", "--width", 320, "--crop", "none")
     assert view(monkeypatch, "film", run, *options, "--format", "png", "--every", 5, "--out", tmp_path / "film") == 0
     names = sorted(path.name for path in (tmp_path / "film").iterdir())
     assert names == [f"frame_{step:06d}.png" for step in (0, 5, 10)]
     assert view(monkeypatch, "frame", run, 5, *options, "--out", tmp_path / "five.png") == 0
     assert (tmp_path / "five.png").read_bytes() == (tmp_path / "film" / "frame_000005.png").read_bytes()
-
-
-def test_gif_needs_no_ffmpeg_and_lasts_as_long_as_the_run(monkeypatch, run, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     out = tmp_path / "film.gif"
     options = ("--kind", "ids", "--width", 320, "--start", 2, "--end", 9, "--every", 2, "--speed", 2)
@@ -103,14 +180,6 @@ def test_gif_needs_no_ffmpeg_and_lasts_as_long_as_the_run(monkeypatch, run, tmp_
     with Image.open(out) as film:
         assert film.size[0] == 320
         assert shown(film)[1] == 4000  # steps 2, 4, 6 and 8 stand for two seconds each, at twice the speed
-
-
-def test_a_step_and_its_time_give_the_same_picture_which_is_drawn_from_the_directory_alone(monkeypatch, run, tmp_path):
-    moved = shutil.copytree(run, tmp_path / "moved")
-    for number, (folder, text) in enumerate(((run, "7"), (run, "7.0"), (run, "7s"), (moved, "7"))):
-        options = ("--kind", "all", "--width", 640, "--out", tmp_path / f"{number}.png")
-        assert view(monkeypatch, "frame", folder, text, *options) == 0
-    assert len({path.read_bytes() for path in tmp_path.glob("*.png")}) == 1
 
 
 def test_cameras_stand_side_by_side_without_what_shows_no_vessel_on_request(monkeypatch, tmp_path, capsys):
@@ -132,7 +201,12 @@ def test_cameras_stand_side_by_side_without_what_shows_no_vessel_on_request(monk
     assert "no vessel is in an image of left" in capsys.readouterr().err
 
 
-def test_a_crop_shows_the_same_pixels_larger(monkeypatch, run, tmp_path):
+def test_a_step_and_its_time_give_the_same_picture_and_a_crop_the_same_pixels_larger(monkeypatch, run, tmp_path):
+    moved = shutil.copytree(run, tmp_path / "moved")
+    for number, (folder, text) in enumerate(((run, "7"), (run, "7.0"), (run, "7s"), (moved, "7"))):
+        options = ("--kind", "all", "--width", 640, "--out", tmp_path / f"{number}.png")
+        assert view(monkeypatch, "frame", folder, text, *options) == 0
+    assert len({path.read_bytes() for path in tmp_path.glob("*.png")}) == 1
     frame = ("frame", run, 3, "--kind", "scene", "--width")
     assert view(monkeypatch, *frame, 800, "--crop", "200,150,600,450", "--out", tmp_path / "crop.png") == 0
     assert view(monkeypatch, *frame, 1600, "--out", tmp_path / "all.png") == 0

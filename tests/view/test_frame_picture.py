@@ -1,23 +1,29 @@
-"""Pictures of frames: properties first; what they look like has been looked at."""
+"""Pictures of frames, and frame.plot(), which has axes around them; what they look like has been looked at."""
 
+import pickle
+import sys
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.offsetbox import AnnotationBbox
 from PIL import Image, ImageDraw
 
+import modsim3d
 from modsim3d import ModsimError, Scene, Window, load_scene, simulate_frames
 from modsim3d.render.id_pass import PlainIds
-from modsim3d.runs.counts import NOTHING_WRONG
-from modsim3d.view import palette
+from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes
+from modsim3d.view import frame_plot, palette
 from modsim3d.view.pictures import id_buffer as ids_module
 from modsim3d.view.pictures import legend as legend_module
 from modsim3d.view.pictures.frame_picture import CameraView, FrameTracks, frame_picture, silhouette_mask
 from modsim3d.view.pictures.id_buffer import ids_picture
-from modsim3d.view.pictures.layers import DETECTIONS, SCENE, Layers
+from modsim3d.view.pictures.layers import DETECTIONS, NAMES, SCENE, WEATHER, Layers
 from modsim3d.view.pictures.legend import LegendEntry, detection_entries, id_entries, legend, letters
-from modsim3d.view.pictures.plain import Solids, background
-from tests.scenes import crossing
+from modsim3d.view.pictures.plain import Solids, background, below_horizon
+from tests.scenes import crossing, mistaken_strait
 
 SIZES = (320, 1280, 3600)
 
@@ -71,16 +77,6 @@ def test_a_picture_has_the_size_asked_for_and_truth_where_it_is(hiding, width):
         assert picture.getpixel((x0, (y0 + y1) // 2)) == palette.TRUTH
 
 
-def test_lines_and_text_grow_with_the_picture(hiding):
-    shares = []
-    for width in SIZES:
-        picture = frame_picture(hiding, whole(hiding, width), replace(DETECTIONS, silhouettes=False), PlainIds())
-        plain = frame_picture(hiding, whole(hiding, width), Layers(horizon=True), PlainIds())
-        shares.append((np.asarray(picture) != np.asarray(plain)).any(axis=-1).mean())
-    assert shares[1] == pytest.approx(shares[2], rel=0.25)
-    assert shares[0] > shares[1]  # on a thumbnail they stop growing smaller
-
-
 def shown_by(layer: str, view: CameraView) -> CameraView:
     """The view with something that a layer draws, where the scene does not have it."""
     truth, found = view.frame.truth, view.frame.detections
@@ -128,7 +124,14 @@ def test_the_one_detection_of_a_vessel_has_its_colour_and_others_are_drawn_as_fa
         assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
 
 
-def test_wires_go_through_the_corner_points(hiding):
+def test_lines_and_text_grow_with_the_picture_and_wires_go_through_the_corner_points(hiding):
+    shares = []
+    for width in SIZES:
+        picture = frame_picture(hiding, whole(hiding, width), replace(DETECTIONS, silhouettes=False), PlainIds())
+        plain = frame_picture(hiding, whole(hiding, width), Layers(horizon=True), PlainIds())
+        shares.append((np.asarray(picture) != np.asarray(plain)).any(axis=-1).mean())
+    assert shares[1] == pytest.approx(shares[2], rel=0.25)
+    assert shares[0] > shares[1]  # on a thumbnail they stop growing smaller
     window = whole(hiding, 1280)
     picture = np.asarray(frame_picture(hiding, window, Layers(wires=True), PlainIds())).astype(int)
     plain = np.asarray(frame_picture(hiding, window, Layers(), PlainIds())).astype(int)
@@ -145,13 +148,6 @@ def test_an_unknown_layer_is_refused_with_those_there_are_and_obstacles_have_let
     with pytest.raises(ModsimError, match=r"'ghosts'.*silhouettes, hatching"):
         Layers.of(["truth", "ghosts"])
     assert [letters(i) for i in (0, 25, 26, 51, 52, 701, 702)] == ["a", "z", "aa", "az", "ba", "zz", "aaa"]
-
-
-def test_ids_drawn_small_are_those_of_the_pixel_centres(hiding, renderer):
-    """Against the whole ID image, sampled: at a third of the size, the centre of a pixel is that of one of nine."""
-    solids = hiding.solids
-    large, small = (solids.ids(Window(0, 0, *rest), renderer) for rest in ((1, (801, 600)), (1 / 3, (267, 200))))
-    assert (small > 0).any() and (large[1::3, 1::3] != small).mean() < 2e-4  # an edge through a centre
 
 
 def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
@@ -172,7 +168,11 @@ def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
     assert len({palette.obstacle_colour(i) for i in range(4)}) == 4
 
 
-def test_id_map_has_each_vessels_colour_where_its_id_is_and_its_number_there_or_beside(hiding, renderer, monkeypatch):
+def test_ids_are_those_of_the_pixel_centres_in_each_vessels_colour_with_its_number(hiding, renderer, monkeypatch):
+    """Against the whole ID image, sampled: at a third of the size, the centre of a pixel is that of one of nine."""
+    solids = hiding.solids
+    large, small = (solids.ids(Window(0, 0, *rest), renderer) for rest in ((1, (801, 600)), (1 / 3, (267, 200))))
+    assert (small > 0).any() and (large[1::3, 1::3] != small).mean() < 2e-4  # an edge through a centre
     written, beside = [], []
     monkeypatch.setattr(ids_module, "draw_labels", lambda canvas, labels, boxes: beside.extend(labels))
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda draw, at, text, **style: written.append(text))
@@ -207,15 +207,12 @@ def test_a_crowded_legend_is_set_smaller_and_counts_those_without_room(monkeypat
     assert legend([], 1280, 15, 100).height == 0
 
 
-def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):
+def test_hidden_parts_are_hatched_masks_cover_silhouettes_and_scenes_have_hues(hiding, camera_views, scene, renderer):
     truth, window = hiding.frame.truth, whole(hiding, 800)
     i = int(np.argmin(np.where(truth.visible_fraction > 0, truth.visible_fraction, 1.0)))
     plain, hatched = (frame_picture(hiding, window, Layers(hatching=on), PlainIds()) for on in (False, True))
     colour, hidden = hiding.colour(truth.vessels[i]), truth.silhouette_px[i] - truth.visible_px[i]
     assert count(plain, colour) == 0 and 0.3 * hidden < count(hatched, colour) < 0.7 * hidden
-
-
-def test_silhouette_mask_covers_what_the_truth_counts(camera_views):
     for camera_view in camera_views:
         truth, solids = camera_view.frame.truth, camera_view.solids
         for row, owner in enumerate(solids.occluders.tolist()):
@@ -223,9 +220,6 @@ def test_silhouette_mask_covers_what_the_truth_counts(camera_views):
             _, mask = silhouette_mask(solids, row, Window(0, 0, 1, (800, 600)))
             x0, y0, x1, y1 = truth.full_boxes_px[i]
             assert abs(int(mask.sum()) - truth.silhouette_px[i]) <= 2 * (x1 - x0 + y1 - y0) + 8
-
-
-def test_the_scene_shows_sea_sky_and_each_vessel_in_shades_of_its_hue(scene, hiding, renderer):
     camera, step = hiding.solids.camera, hiding.frame.step
     window = Window.whole(camera.intrinsics.image_size_px, 800)
     picture = np.asarray(frame_picture(hiding, window, SCENE, renderer)).astype(float)
@@ -238,3 +232,85 @@ def test_the_scene_shows_sea_sky_and_each_vessel_in_shades_of_its_hue(scene, hid
         hue = np.linalg.norm(pixels - lightness[:, None] * colour, axis=1)
         assert np.median(hue) < 3 and 0.45 < np.median(lightness) <= 1.0
     assert (picture[0, 0] == palette.SKY).all() and (picture[-1, 0] == palette.SEA).all()
+
+
+@pytest.fixture(scope="module")
+def frame():
+    """With a missed vessel and a false positive."""
+    frames = simulate_frames(load_scene("harbour", mode=2, seed=3, steps=200, source="rectangles"))
+    return next(f for f in frames if np.any(f.truth.annotated & ~f.truth.detected) and None in f.detections.vessels)
+
+
+def drawn(figure: Figure) -> FigureCanvasAgg:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas
+
+
+@pytest.mark.parametrize("labels", [True, False])
+def test_plot_is_the_picture_of_the_films(frame, labels):
+    figure = frame.plot(labels=labels)
+    pixels, area = np.asarray(drawn(figure).buffer_rgba())[..., :3], figure.axes[0].bbox
+    size = round(area.width), round(area.height)
+    layers = DETECTIONS if labels else DETECTIONS.without("labels", "fractions")
+    window = Window(0.0, 0.0, size[0] / frame.image_size_px[0], size)
+    nominal_px = round(1280 / 15 * 8 * figure.dpi / 72)  # text of 8 points
+    view = CameraView.of(frame.scene, frame)
+    picture = np.asarray(frame_picture(view, window, layers, PlainIds(), nominal_width_px=nominal_px))
+    left, top = round(area.x0), len(pixels) - round(area.y0) - size[1]
+    same = pixels[top : top + size[1], left : left + size[0]] == picture
+    assert isinstance(figure, Figure) and same[3:-3, 3:-3].all()  # without the axes' own lines
+
+
+def test_the_legend_names_what_is_wrong_in_the_frame(tmp_path, monkeypatch):
+    drawn, legend = [], frame_plot.legend
+    monkeypatch.setattr(frame_plot, "legend", lambda entries, *rest: drawn.append(entries) or legend(entries, *rest))
+    frames = list(simulate_frames(load_scene(mistaken_strait(tmp_path))))
+    for flag in Outcome:
+        marked = next(f for f in frames if any(o & flag for o in frame_outcomes(f)))
+        every = set(frame_outcomes(marked))
+        marked.plot()
+        expected = {NAMES[each] for each in Outcome if any(each & other for other in every)}
+        named = {entry.text for entry in drawn[-1]} & set(NAMES.values())
+        assert named == expected | {NAMES[Outcome.FALSE_POSITIVE]}
+
+
+@pytest.mark.parametrize("zoom", [False, True])
+def test_the_image_or_every_vessel_fills_the_figure_above_the_legend(frame, zoom):
+    figure, (width, height), boxes = frame.plot(zoom=zoom), frame.image_size_px, frame.truth.full_boxes_px
+    axes, image = figure.axes[0], figure.axes[0].bbox
+    assert axes.get_title() == f"{frame.camera}, {frame.timestamp} s, detector {frame.state} ({WEATHER})"
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    if zoom:
+        assert left <= boxes[:, 0].min() and right >= boxes[:, 2].max() and bottom - top < height
+        assert top <= boxes[:, 1].min() and bottom >= boxes[:, 3].max()
+    else:
+        assert (left, right, bottom, top) == (0, width, height, 0)
+    (key,) = (artist for artist in axes.artists if isinstance(artist, AnnotationBbox))
+    place = key.get_window_extent(drawn(figure).get_renderer())
+    assert -1 < place.y0 < place.y1 < image.y0
+    assert image.width > 0.8 * figure.bbox.width and figure.bbox.height - image.height < 1.5 * figure.dpi
+
+
+def test_plot_draws_on_given_axes_also_of_a_pickled_frame_and_says_what_it_needs(frame, monkeypatch):
+    figure = Figure()
+    whole, part = figure.subfigures(1, 2)
+    (left, right), other = part.subplots(1, 2), whole.subplots()
+    assert frame.plot(right) is frame.plot(other) is figure
+    assert [len(axes.artists) for axes in (left, right, other)] == [0, 2, 2]
+    assert pickle.loads(pickle.dumps(frame)).plot().axes
+    with pytest.raises(ModsimError, match="simulate_frames"):
+        replace(frame, scene=None).plot()
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.delitem(sys.modules, "modsim3d.view.frame_plot")
+    assert modsim3d.plot_frame.__doc__, "help(modsim3d) looks at every name"
+    with pytest.raises(ModsimError, match=r"modsim3d\[view\]"):
+        frame.plot()
+
+
+def test_part_of_the_image_below_the_horizon_has_the_area_that_it_should():
+    corners = np.array([[0, 0], [10, 0], [10, 100], [0, 100]], dtype=float)
+    for plane, area in (((0, 1, -30), 700), ((0, -1, 30), 300), ((0, 0, 1), 1000), ((0, 0, -1), 0)):
+        x, y = below_horizon(corners, corners, np.array(plane, dtype=float)).T
+        assert abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2 == pytest.approx(area), plane
+        assert ((y >= 0) & (y <= 100)).all(), plane

@@ -89,15 +89,12 @@ KINDS = [
 ]
 
 
-def test_kind_of_a_vessel_whose_mesh_has_the_same_name_in_a_scene_and_in_its_copy():
+def test_kind_of_a_vessel_by_mesh_label_or_name_and_intensity_and_ranges_by_the_rules():
     for shape, label, name, kind in KINDS:
         assert lights.kind_of(vessel(10, shape=shape, label=label, name=name)) is kind, (shape, label, name)
     assert mesh_name("sailboat") == mesh_name("meshes/sailboat.glb") == "sailboat"
     assert mesh_name({"file": "hulls/my_sloop.stl", "forward": "+x"}) == "my_sloop"
-
-
-def test_intensity_and_ranges_by_length_are_those_of_the_rules():
-    """The table of COLREG, Annex I, section 8, and Rule 22; at its range a light is the faintest that is seen."""
+    # The table of COLREG, Annex I, section 8, and Rule 22; at its range a light is the faintest that is seen.
     for miles, candela in {1: 0.9, 2: 4.3, 3: 12, 4: 27, 5: 52, 6: 94}.items():
         light = Lantern("stern", Colour.WHITE, Sector.STERN, miles, (0, 0, 0))
         assert light.intensity_cd == pytest.approx(candela, rel=0.06)
@@ -122,7 +119,7 @@ def placed(one):
     return found
 
 
-def test_places_of_a_ships_lights(strait):
+def test_places_of_the_lights_of_ships_trawlers_and_sailing_boats(strait):
     """Annex I, sections 2 and 3, for the shipped meshes and for boxes of many sizes."""
     boxes = [vessel(length, air_draft_m=height) for length in (50, 90, 180, 300) for height in (20.0, 45.0)]
     ships = [one for one in strait.vessels if one.length_m >= 50]
@@ -134,17 +131,11 @@ def test_places_of_a_ships_lights(strait):
         deck = min(0.25 * one.air_draft_m, 0.1 * one.length_m)
         assert fore[2] - deck >= min(max(6, one.beam_m), 12) - 1e-9 or fore[2] == pytest.approx(one.air_draft_m - 4.5)
         assert side[2] - deck <= 0.75 * (fore[2] - deck) and side[0] <= fore[0] and after[0] >= -one.length_m / 2
-
-
-def test_lights_of_a_trawler_stand_apart():
-    """Annex I, sections 2 i and 2 j: 2 m between the upper two, and at least twice that down to the sidelights."""
+    # Annex I, sections 2 i and 2 j: 2 m between the upper two, and at least twice that down to the sidelights.
     for length_m in (24, 60, 90):
         found = placed(vessel(length_m, label="trawling"))
         (upper,), (lower,), (side,) = (found[name] for name in ("upper", "lower", "port side"))
         assert upper[2] - lower[2] == pytest.approx(2) and lower[2] - side[2] >= 4 - 1e-9, length_m
-
-
-def test_the_only_masthead_light_is_before_midships_from_20_m_on_and_a_sail_has_all_three_at_the_top(strait):
     shipped = {one.name: one for one in strait.vessels}
     for one in (shipped["trawler"], vessel(20), vessel(49)):
         assert placed(one)["masthead"][0][0] > 0
@@ -240,7 +231,7 @@ def test_a_yacht_right_ahead_shows_red_and_green_side_by_side_and_no_yellow_and_
     assert len(mirrored) > 10
 
 
-def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
+def test_fog_and_distance_weaken_lights_and_speed_is_unknown_of_absent_vessels_and_single_steps(tmp_path):
     scene = scene_with(tmp_path, 900)
     sight, speeds = scene.sight(scene.cameras[0], np.array([0])), ground_speeds(scene, 0)
     clear, mist = ({light.lantern.name: light.decades for light in lights_towards(sight, speeds, extinction)}
@@ -249,8 +240,5 @@ def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
     for name in clear:
         assert clear[name] - mist[name] == pytest.approx(3.912 / 500 * 250 / math.log(10), rel=0.03)
     assert not list(lights_towards(sight, speeds, 3.912 / 50))
-
-
-def test_speed_over_ground_is_unknown_of_absent_vessels_and_of_a_single_step(tmp_path):
     np.testing.assert_allclose(ground_speeds(scene_with(tmp_path, 900), 3), [1.0, np.nan, np.nan])
     assert np.isnan(ground_speeds(scene_with(tmp_path, 900, steps=1), 0)).all()

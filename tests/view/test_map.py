@@ -71,15 +71,6 @@ def test_a_vessel_is_drawn_where_it_is(birds_eye, step):
         assert near.sum() > 8, birds_eye.scene.vessel_names[index]
 
 
-def test_a_hull_has_the_vessels_size_and_heading_and_an_obstacle_covers_its_polygon(scene):
-    for vessel in scene.vessels:
-        ring = hull_m(vessel, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # heading along w2
-        assert np.ptp(ring, axis=0) == pytest.approx((vessel.beam_m, vessel.length_m))
-    island, bridge = (footprint(obstacle) for obstacle in scene.obstacles)
-    assert island.symmetric_difference(shapely.Polygon(ISLAND)).area == pytest.approx(0, abs=1e-6)
-    assert bridge.area == pytest.approx(480)
-
-
 @pytest.mark.parametrize(("f1", "f2", "a1"), [(1000.0, 1000.0, 400.0), (700.0, 1000.0, 200.0), (100.0, 100.0, 400.0)])
 def test_the_field_of_view_has_the_angle_of_the_intrinsics(scene, f1, f2, a1):
     """From the left edge to the principal point, arctan(a1 / f1), and on to the right one."""
@@ -90,26 +81,6 @@ def test_the_field_of_view_has_the_angle_of_the_intrinsics(scene, f1, f2, a1):
     bearings = np.unwrap(np.arctan2(looks[:, 1], looks[:, 0]))
     assert bearings[0] - bearings[-1] == pytest.approx(math.atan(a1 / f1) + math.atan((width - a1) / f1))
     assert bearings[0] == pytest.approx(0.7 + math.atan(a1 / f1))
-
-
-def test_what_the_camera_sees_is_in_its_field_of_view(birds_eye):
-    scene = birds_eye.scene
-    at, looks = view_of(scene, scene.cameras[0], 5)
-    wedge = shapely.Polygon([at, *(at + 1e4 * looks)])
-    outlines = scene.sight(scene.cameras[0], np.array([5])).outlines()
-    seen = {scene.occluder_names[index] for index in outlines.occluder.tolist()}
-    places = dict(zip(scene.vessel_names, scene.poses.poses(5, 6).positions_m[0, :, :2], strict=True))
-    assert {name for name, place in places.items() if wedge.contains(shapely.Point(place))} <= seen
-
-
-def test_vessels_on_circles_have_them_whole():
-    birds_eye = BirdsEye(load_scene("simulation_1", steps=5), 5, (0,))
-    circles, tracks = birds_eye.circles_m, birds_eye.tracks_m
-    assert len(circles) == 5
-    for circle, track in zip(circles, np.moveaxis(tracks, 1, 0), strict=True):
-        radius = np.linalg.norm(circle - (1000, 1000), axis=1)
-        np.testing.assert_allclose(np.linalg.norm(track - (1000, 1000), axis=1), radius[0])
-        np.testing.assert_allclose(radius, radius[0])
 
 
 @given(st.floats(0.01, 1e6))
@@ -174,7 +145,7 @@ def test_each_vessel_of_a_crowd_is_named_beside_it_or_with_a_line_to_it_and_the_
     assert {"vessel at its size, with a tick ahead", "small vessel, with its heading"} <= said
 
 
-def test_no_name_lies_on_a_camera(scene):
+def test_no_name_lies_on_a_camera_and_what_is_far_does_not_make_the_map_larger(scene):
     (camera,) = scene.cameras
     drawn = Map(BirdsEye(scene, scene.steps, (0,)), 900)
     drawn.show(6)
@@ -188,9 +159,6 @@ def test_no_name_lies_on_a_camera(scene):
         boxes = {note.get_text(): extent(note) for note in notes}
         assert {"under", name.note.get_text()} <= set(boxes)
         assert not any(box.intersects(dot) for box in boxes.values())
-
-
-def test_far_cameras_and_land_do_not_make_the_map_larger_and_a_camera_near_the_traffic_is_on_it(scene):
     usual = BirdsEye(scene, scene.steps, (0,)).extent_m
     assert usual[0] < 0 < usual[1] and usual[2] < -60 and usual[3] > 60  # the camera ashore, and the bridge
     (camera,), (island, _) = scene.cameras, scene.obstacles
@@ -221,13 +189,6 @@ def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatc
         assert ET.parse(files[0]).getroot().tag.endswith("svg")
     else:
         assert files[0].read_bytes().startswith(b"%PDF")
-
-
-def test_a_film_of_maps_has_one_map_for_all_cameras(monkeypatch, run, tmp_path):
-    options = ("--kind", "map", "--end", 1, "--format", "png", "--width", 320, "--out", tmp_path / "frames")
-    assert view(monkeypatch, "film", run, *options) == 0
-    one, other = (np.asarray(read(path)) for path in sorted((tmp_path / "frames").iterdir()))
-    assert one.shape == other.shape and (one != other).any()
 
 
 def test_maps_are_imported_without_matplotlib_and_the_extra_is_named(monkeypatch, call, run, tmp_path):
@@ -290,14 +251,27 @@ def test_a_frame_is_the_map_drawn_whole(filmed):
     assert (frames[0] != frames[1]).any()
 
 
-def test_a_closest_approach_is_that_of_straight_courses():
+def test_circles_are_whole_and_a_closest_approach_is_that_of_straight_courses():
+    birds_eye = BirdsEye(load_scene("simulation_1", steps=5), 5, (0,))
+    circles, tracks = birds_eye.circles_m, birds_eye.tracks_m
+    assert len(circles) == 5
+    for circle, track in zip(circles, np.moveaxis(tracks, 1, 0), strict=True):
+        radius = np.linalg.norm(circle - (1000, 1000), axis=1)
+        np.testing.assert_allclose(np.linalg.norm(track - (1000, 1000), axis=1), radius[0])
+        np.testing.assert_allclose(radius, radius[0])
     here, velocities = np.array([[0.0, 0.0], [1000.0, 60.0]]), np.array([[5.0, 0.0], [-5.0, 0.0]])
     distance_m, after_s, then = _approach(here, velocities)
     assert (distance_m, after_s) == pytest.approx((60, 100)) and then.tolist() == [[500, 0], [500, 60]]
     assert _approach(here, -velocities)[1] == pytest.approx(-100)  # was before
 
 
-def test_the_bearing_of_a_box_points_at_its_vessel(scene):
+def test_hulls_and_obstacles_have_their_size_and_the_bearing_of_a_box_points_at_its_vessel(scene):
+    for vessel in scene.vessels:
+        ring = hull_m(vessel, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # heading along w2
+        assert np.ptp(ring, axis=0) == pytest.approx((vessel.beam_m, vessel.length_m))
+    island, bridge = (footprint(obstacle) for obstacle in scene.obstacles)
+    assert island.symmetric_difference(shapely.Polygon(ISLAND)).area == pytest.approx(0, abs=1e-6)
+    assert bridge.area == pytest.approx(480)
     (camera,), whole = scene.cameras, 0
     for frame in simulate_frames(scene):
         poses = scene.poses.poses(frame.step, frame.step + 1).positions_m[0]
@@ -311,7 +285,7 @@ def test_the_bearing_of_a_box_points_at_its_vessel(scene):
     assert whole > 5
 
 
-def test_layers_of_a_map_are_drawn_on_request_and_rings_count_in_their_unit(birds_eye):
+def test_layers_are_drawn_on_request_rings_count_in_their_unit_and_a_scene_on_the_earth_has_north(birds_eye):
     with pytest.raises(ModsimError, match=r"unknown layer 'wires'; known layers: vectors, cpa, .*cables"):
         MapLayers.of(["nm", "wires"])
     for names, unit in (((), "m"), (("nm", "vectors"), "nm"), (("cables",), "cables")):
@@ -320,9 +294,6 @@ def test_layers_of_a_map_are_drawn_on_request_and_rings_count_in_their_unit(bird
         assert radii and ("speed vector, 6 min" in axes.get_legend_handles_labels()[1]) == ("vectors" in names)
     metres = [float(radius.split()[0]) * 185.2 for radius in radii]
     assert max(metres) < np.hypot(*np.ptp(np.reshape(birds_eye.extent_m, (2, 2)), axis=1))
-
-
-def test_a_scene_on_the_earth_has_north_on_its_map(birds_eye):
     for origin in (None, (56.0, 12.6)):
         axes = map_figure(replace(birds_eye, scene=replace(birds_eye.scene, origin=origin)), 5, 900).axes[0]
         assert (
@@ -330,7 +301,11 @@ def test_a_scene_on_the_earth_has_north_on_its_map(birds_eye):
         )
 
 
-def test_a_plan_has_the_picture_beside_the_map(monkeypatch, run, tmp_path):
+def test_a_film_of_maps_has_one_for_all_cameras_and_a_plan_has_the_picture_beside_it(monkeypatch, run, tmp_path):
+    options = ("--kind", "map", "--end", 1, "--format", "png", "--width", 320, "--out", tmp_path / "frames")
+    assert view(monkeypatch, "film", run, *options) == 0
+    one, other = (np.asarray(read(path)) for path in sorted((tmp_path / "frames").iterdir()))
+    assert one.shape == other.shape and (one != other).any()
     pictures = {}
     for name, options in {"plan": ("--kind", "plan"), "bare": ("--kind", "plan", "--layers", "nm")}.items():
         pictures[name] = picture(monkeypatch, run, tmp_path / f"{name}.png", *options)
@@ -340,7 +315,14 @@ def test_a_plan_has_the_picture_beside_the_map(monkeypatch, run, tmp_path):
     assert differ[half:].any() and not differ[:half].any()
 
 
-def test_a_vessel_that_is_absent_is_not_drawn(birds_eye):
+def test_what_is_seen_is_in_the_field_of_view_and_an_absent_vessel_is_not_drawn(birds_eye):
+    scene = birds_eye.scene
+    at, looks = view_of(scene, scene.cameras[0], 5)
+    wedge = shapely.Polygon([at, *(at + 1e4 * looks)])
+    outlines = scene.sight(scene.cameras[0], np.array([5])).outlines()
+    seen = {scene.occluder_names[index] for index in outlines.occluder.tolist()}
+    places = dict(zip(scene.vessel_names, scene.poses.poses(5, 6).positions_m[0, :, :2], strict=True))
+    assert {name for name, place in places.items() if wedge.contains(shapely.Point(place))} <= seen
     present = birds_eye.scene.poses.poses(0, birds_eye.steps).present
     (step, *_), (gone, *_) = np.nonzero(~present)
     film = MapFilmRenderer(birds_eye, (640, map_height_px(birds_eye, 640)))

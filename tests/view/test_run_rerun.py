@@ -1,4 +1,4 @@
-"""The recording for Rerun, read back with Rerun's own reader, holds the run."""
+"""The recording for Rerun, read back with Rerun's own reader, and tracks in it, in pictures and films."""
 
 import sys
 from io import BytesIO
@@ -11,13 +11,20 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from modsim3d import load_scene, open_run, run_scene
+from modsim3d.core.arrays import NOBODY
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import detected_rows
+from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.view import palette
+from modsim3d.view.films.plan import FilmLayout
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.rerun_boxes import TEXT
 from modsim3d.view.rerun_recording import export_rerun, fill
+from tests.cli.bad_input.builders import answer, refusal
 from tests.command_line import call
+from tests.run_folders import interrupt
 from tests.scenes import crossing
+from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
 
 STEPS, EVERY = 14, 2
 SOME = 20  # every so many steps of a longer run are recorded
@@ -82,7 +89,7 @@ def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, 
     return entity[max(at for at in entity if at is not None and at <= step)]
 
 
-def test_boxes_and_labels_of_every_shown_frame_are_in_it_and_the_viewer_opens_with_them(run, recording, written):
+def test_boxes_labels_sea_sky_and_silhouettes_are_in_it_and_the_viewer_opens_with_them(run, recording, written):
     assert views(written) == {
         "camera C0": ("2D", ["$origin/**"]),
         "world": ("3D", views(written)["world"][1]),
@@ -98,9 +105,6 @@ def test_boxes_and_labels_of_every_shown_frame_are_in_it_and_the_viewer_opens_wi
             centres, halves = (np.reshape(entity[step][name], (-1, 2)) for name in ("centers", "half_sizes"))
             np.testing.assert_allclose(np.hstack([centres - halves, centres + halves]), boxes, rtol=1e-5, atol=1e-3)
         assert [text.removesuffix(" missed") for text in truth[step]["labels"]] == list(frame.truth.vessels)
-
-
-def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
     scene, frames = open_run(run).scene, {frame.step: frame for frame in open_run(run).frames()}
     (camera,), image = scene.cameras, "/world/cameras/C0/image"
     (scale,) = recording[f"{image}/scene"][None]["scale"]
@@ -137,7 +141,7 @@ def test_a_hole_in_a_silhouette_is_not_filled():
     assert [picture.getpixel((place, place)) for place in (5, 20, 12, 38)] == [7, 7, 0, 0]
 
 
-def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
+def test_what_went_wrong_is_named_at_detections_and_no_two_names_lie_on_each_other(mistaken):
     (run, found), shown, hidden = mistaken, 0, 0
     sizes = {camera.name: camera.intrinsics.image_size_px for camera in run.scene.cameras}
     for frame in (frame for frame in run.frames() if frame.step % SOME == 0):
@@ -157,19 +161,6 @@ def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
         for name in ("truth", "detections"):
             assert found[f"{image}/{name}"][frame.step]["show_labels"] == [False]
     assert shown and hidden
-
-
-def test_states_have_the_colours_of_the_pages(run, recording):
-    detector, names = recording["/detector/C0"], [state.name for state in open_run(run).scene.detector.states]
-    colours = palette.state_colours(len(names))
-    assert detector[None]["values"] == names
-    assert detector[None]["colors"] == [int.from_bytes(bytes([*colour, 255])) for colour in colours]
-    for frame in open_run(run).frames():
-        if frame.step % EVERY == 0:
-            assert latest({k: v for k, v in detector.items() if k is not None}, frame.step)["state"] == [frame.state]
-
-
-def test_detections_say_what_is_wrong_with_them(mistaken):
     (run, found), said = mistaken, set()
     for frame in (frame for frame in run.frames() if frame.step % SOME == 0):
         image, outcomes, rows = f"/world/cameras/{frame.camera}/image", frame_outcomes(frame), detected_rows(frame)
@@ -196,7 +187,14 @@ def test_detections_say_what_is_wrong_with_them(mistaken):
     assert said == {flag.name for flag in Outcome}
 
 
-def test_vessels_cameras_and_obstacles_stand_in_the_world_as_in_the_scene(run, recording):
+def test_vessels_cameras_and_obstacles_stand_as_in_the_scene_and_states_have_the_pages_colours(run, recording):
+    detector, names = recording["/detector/C0"], [state.name for state in open_run(run).scene.detector.states]
+    colours = palette.state_colours(len(names))
+    assert detector[None]["values"] == names
+    assert detector[None]["colors"] == [int.from_bytes(bytes([*colour, 255])) for colour in colours]
+    for frame in open_run(run).frames():
+        if frame.step % EVERY == 0:
+            assert latest({k: v for k, v in detector.items() if k is not None}, frame.step)["state"] == [frame.state]
     scene, ever = open_run(run).scene, []
     poses = scene.poses.poses(0, STEPS)
     for index, name in enumerate(scene.vessel_names):
@@ -229,3 +227,142 @@ def test_a_missing_sdk_or_a_file_for_a_folder_is_one_message(monkeypatch, capsys
     assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "x") == 2
     # Without an empty bar before it.
     assert capsys.readouterr().err == "modsim3d: --format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
+
+
+TRACKED_STEPS, WIDTH, STEP = 12, 1600, 9
+
+
+@pytest.fixture(scope="module")
+def followed(rows) -> FollowedTracks:
+    """One track on each vessel and a false one all the time."""
+    return FollowedTracks.of(as_set(with_false(perfect(rows), range(TRACKED_STEPS))), rows, Similarity())
+
+
+@pytest.fixture(scope="module")
+def tracks(rows, followed, tmp_path_factory):
+    return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
+
+
+def test_a_track_and_its_trail_have_the_colour_of_its_vessel_a_false_one_the_alarms(
+    call, exact_run, followed, tracks, tmp_path
+):
+    options = (
+        "--width",
+        WIDTH,
+        "--crop",
+        "none",
+        "--layers",
+        "tracks",
+        "--tracks",
+        tracks,
+        "--out",
+        tmp_path / "a.png",
+    )
+    said = answer(call, ("view", "frame", exact_run, STEP, *options))
+    assert followed.sentence() in " ".join(said.split())
+    with Image.open(tmp_path / "a.png") as written:  # under the head line, with two pixels for one of the image
+        picture = np.asarray(written)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
+    here = followed.rows_of(STEP)
+    assert here.stop - here.start >= 3
+    for number, (x0, y0, _, y1) in zip(followed.tracks.track[here], followed.tracks.boxes_px[here], strict=True):
+        colour = palette.ALARM if number == FALSE_TRACK else palette.vessel_colour(int(number))
+        left = picture[int(2 * y0) + 2 : int(2 * y1) - 2, int(2 * x0) + 2 : int(2 * x0) + 4]
+        share = (left == colour).all(axis=-1).mean()
+        assert share > (0.4 if number == FALSE_TRACK else 0.6), number  # a false one is dashed
+    trail = followed.trail_px(here.start + followed.tracks.track[here].tolist().index(2))
+    assert len(trail) == 3  # a step a second, two seconds back
+    for x, y in (trail[:-1] + trail[1:]) / 2:
+        around = picture[int(2 * y) - 2 : int(2 * y) + 3, int(2 * x) - 2 : int(2 * x) + 3]
+        assert (np.abs(around - palette.vessel_colour(2)).max(axis=-1) < 40).any()
+
+
+def test_pictures_without_the_layer_have_no_tracks_and_films_with_it_the_same_bytes(call, exact_run, tracks, tmp_path):
+    for name, options in {"a": (), "b": ("--tracks", tracks)}.items():
+        layers = ("--layers", "horizon,truth,detections,labels", "--width", 640)
+        arguments = (STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
+        answer(call, ("view", "frame", exact_run, *arguments))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    options = ("--kind", "detections", "--every", 4, "--width", 320, "--tracks", tracks)
+    for workers in (1, 2):
+        out = ("--workers", workers, "--out", tmp_path / f"{workers}.gif")
+        answer(call, ("view", "film", exact_run, *options, *out))
+    assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
+
+
+def test_tracks_not_drawn_or_of_an_interrupted_run_are_refused(call, exact_run, tmp_path, tracks):
+    for line in (("film", exact_run), ("frame", exact_run, 3)):
+        line = ("view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite")
+        refusal(call, line, "--tracks works with --kind detections, all, plan and map")
+    cut = interrupt(load_scene(str(crossing(tmp_path, 400)), source="analytic"), tmp_path / "cut")
+    for line in (("report", cut), ("export", cut, "--format", "rerun"), ("view", "frame", cut, 0)):
+        said = refusal(call, (*line, "--tracks", tracks, "--out", tmp_path / "x.png"))
+        assert "tracks need a finished one" in " ".join(said.split())
+
+
+def test_rerun_has_the_tracks_with_number_and_vessel(call, exact_run, rows, followed, tracks, tmp_path):
+    said = answer(call, ("export", exact_run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path))
+    assert followed.sentence() in " ".join(said.split())
+    found, names = read(tmp_path / "run.rrd"), [*rows.scene.vessel_names, "nothing"]
+    for step in range(TRACKED_STEPS):
+        here = followed.rows_of(step)
+        numbers, vessels = followed.tracks.track[here].tolist(), followed.vessel[here].tolist()
+        entity = found["/world/cameras/C0/image/tracks"][step]
+        assert entity["labels"] == [f"#{n} on {names[v]}" for n, v in zip(numbers, vessels, strict=True)]
+        centre = (followed.tracks.boxes_px[here, :2] + followed.tracks.boxes_px[here, 2:]) / 2
+        np.testing.assert_allclose(entity["centers"], centre, rtol=1e-5)
+        assert found["/counts/C0/tracks"][step]["scalars"] == [len(numbers)]
+        assert found["/counts/C0/false_tracks"][step]["scalars"] == [1]
+    plot = views(tmp_path / "run.rrd")["tracks, and those on nothing"]
+    assert plot == ("TimeSeries", ["/counts/C0/tracks", "/counts/C0/false_tracks"])
+
+
+BOAT, SAIL = 0, 1
+
+
+def follow(rows, tracks, *similarity):
+    return FollowedTracks.of(as_set(tracks), rows, Similarity(*similarity))
+
+
+def test_two_tracks_that_swap_switch_and_move_a_new_number_switches_and_a_track_alone_that_goes_on_moves(rows):
+    tracks = perfect(rows)
+    shown = follow(rows, swapped(tracks, BOAT, SAIL, 6))
+    for marked in (shown.switched, shown.moved):
+        first = [shown.tracks.step[(shown.tracks.step >= 6) & (shown.vessel == vessel)].min() for vessel in (0, 1)]
+        places = sorted(zip(shown.vessel[marked].tolist(), shown.tracks.step[marked].tolist(), strict=True))
+        assert places == [(BOAT, first[0]), (SAIL, first[1])]
+    assert "2 identity switches" in shown.sentence()
+    number = np.where((tracks.track == SAIL) & (tracks.step >= 5), 7, tracks.track)
+    shown = follow(rows, Tracks.of(1, tracks.frame, number, tracks.boxes_px))
+    assert shown.tracks.track[shown.switched].tolist() == [7] and not shown.moved.any()
+    assert "4 tracks on 3 vessels, 1 identity switch, 0" in shown.sentence()
+    some = tracks.take(((tracks.track == SAIL) & (tracks.step < 2)) | ((tracks.track == 2) & (tracks.step >= 4)))
+    shown = follow(rows, Tracks.of(1, some.frame, np.full(len(some), 5), some.boxes_px))
+    assert shown.moved.sum() == 1 and not shown.switched.any()
+
+
+def test_tracks_of_the_truth_follow_it_also_on_hidden_vessels_and_one_beside_by_distance_only(rows):
+    shown = follow(rows, perfect(rows))
+    np.testing.assert_array_equal(shown.vessel, shown.tracks.track)
+    assert not (shown.switched | shown.moved | shown.unscored | shown.false).any()
+    assert shown.sentence() == "Tracks of made: 3 tracks on 3 vessels, 0 identity switches, 0 false tracks."
+    none = follow(rows, perfect(rows).take(np.zeros(0, dtype=np.int64)))
+    assert none.sentence() == "Tracks of made: 0 tracks on 0 vessels, 0 identity switches, 0 false tracks."
+    row = int(np.flatnonzero((shown.tracks.track == SAIL) & (shown.tracks.step == 2))[0])
+    mine = shown.tracks.take((shown.tracks.track == SAIL) & (shown.tracks.step <= 2))  # two seconds of a step each
+    centres = (mine.boxes_px[:, :2] + mine.boxes_px[:, 2:]) / 2
+    np.testing.assert_allclose(shown.trail_px(row), centres[::-1], rtol=1e-12)
+    shown = follow(rows, with_false(perfect(rows), range(3, 6)))
+    np.testing.assert_array_equal(shown.false, shown.tracks.track == FALSE_TRACK)
+    assert shown.vessel[shown.false].tolist() == [NOBODY] * 3
+    assert shown.sentence().endswith("4 tracks on 3 vessels, 0 identity switches, 1 false track.")
+    tracks = perfect(rows).take(perfect(rows).track == 2)
+    beside = tracks.boxes_px + np.tile((tracks.boxes_px[:, 2] - tracks.boxes_px[:, 0])[:, None], 4) * (1, 0, 1, 0)
+    moved = Tracks.of(1, tracks.frame, tracks.track, beside)
+    assert follow(rows, moved).false.all() and not follow(rows, moved, "centre", 2000.0, 0.1).false.any()
+    hidden = (rows.numbers("visible_px") == 0) & (rows.numbers("silhouette_px") > 0)
+    assert hidden.any()
+    shown = follow(rows, Tracks.of(1, rows.truth_frame, rows.truth_vessel, rows.boxes_px("full")))
+    on = set(zip(rows.truth_frame[hidden].tolist(), rows.truth_vessel[hidden].tolist(), strict=True))
+    kept = shown.tracks.take(shown.unscored)
+    assert set(zip(kept.frame.tolist(), kept.track.tolist(), strict=True)) == on
+    np.testing.assert_array_equal(shown.vessel[shown.unscored], kept.track)

@@ -12,6 +12,8 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -90,8 +92,9 @@ class Browser:
             self.requests.append(said["request"]["url"])
 
     def open(self, path: Path, size: tuple[int, int] = (1280, 900), hash: str = "", ready: str = PLAYER) -> None:
-        """Load a file and wait for its player; what was said of the page before is forgotten."""
+        """Load a file and wait for its player; the page before must have had nothing to complain of."""
         self.resize(size)
+        assert self.errors == []
         self.call("Page.navigate", url="about:blank")
         self.errors.clear()
         self.requests.clear()
@@ -216,3 +219,26 @@ def open_browser() -> Iterator[Browser]:
                 process.wait(timeout=PATIENCE_S)
                 os.close(our_out)
                 os.close(our_in)
+
+
+PACKAGE = "axe_playwright_python"
+GRAVE = ("serious", "critical")
+LOOK = """axe.run({resultTypes: ['violations']}).then(({violations}) => violations
+.filter(({impact}) => %s.includes(impact))
+.flatMap(({id, nodes}) => nodes.map(({target, failureSummary}) => `${id}: ${target}: ${failureSummary}`)))"""
+
+
+@lru_cache(maxsize=1)
+def axe_core() -> str:
+    """The script of axe-core; the package itself is not imported, as it would ask for Playwright."""
+    spec = find_spec(PACKAGE)
+    if spec is None or spec.origin is None:
+        raise FileNotFoundError(f"{PACKAGE} was not found: script/setup test installs it")
+    return (Path(spec.origin).parent / "axe.min.js").read_text(encoding="utf-8")
+
+
+def grave_violations(browser: Browser) -> list[str]:
+    """What axe-core finds serious or critical in the open page: rule, place and remedy."""
+    if not browser.run("Boolean(window.axe)"):
+        browser.run(axe_core() + "\n0")
+    return list(browser.run(LOOK % json.dumps(GRAVE)))

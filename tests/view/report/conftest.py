@@ -76,6 +76,7 @@ def shared_browser() -> Iterator[Browser]:
 @pytest.fixture
 def browser(shared_browser: Browser) -> Iterator[Browser]:
     """The session's browser; whatever a test did with it, it must have had nothing to complain of."""
+    shared_browser.errors.clear()  # those of a test that failed
     shared_browser.scheme("light")
     yield shared_browser
     assert shared_browser.errors == []

@@ -17,7 +17,7 @@ from modsim3d.view.pages.provenance import CHANGED, Provenance, file_input, run_
 from tests.campaign.campaigns import run_campaign_file
 from tests.command_line import call
 from tests.view.made_tracks import perfect, write_csv
-from tests.view.report.axe import grave_violations
+from tests.view.report.browser import grave_violations
 from tests.view.report.test_layout import DESK, PHONE, pale_texts
 
 CAMPAIGN = {"scene": "fairway", "steps": 4, "seed": 7, "seeds": {"traffic": 2}, "trackers": ["reference"]}
@@ -91,27 +91,7 @@ def test_a_page_names_its_command_and_inputs_with_checksums_and_nothing_of_the_m
         assert {f"run/{table}.parquet" for table in ("frames", "truth", "detections")} < paths
 
 
-def test_pages_have_scene_seeds_and_versions_of_the_run_and_the_checksum_of_what_was_learned(pages: Path) -> None:
-    run = json.loads((pages / "run" / "run.json").read_text())
-    for name in ("verify", "score", "report"):
-        text = block(pages, name)
-        assert run["scene_sha256"] in text and run["backend"] in text
-        assert f"<th>Seed: scene</th><td>{run['seed']}</td>" in text and "NumPy" in text
-    text = block(pages, "campaign")
-    assert re.findall(r"<th>Seed: (.*?)</th><td>(.*?)</td>", text) == [("campaign", "7")]
-    assert "<th>Traffic seeds</th><td>2</td>" in text
-    what, path, digest = inputs(pages, "learn")[0]
-    assert (what, path) == ("detector file that was learned", "detector.yaml")
-    assert digest == sha256(pages / "learn" / path)
-
-
-def test_the_same_command_gives_the_same_bytes(pages: Path) -> None:
-    for name in ("verify", "compare"):
-        command(COMMANDS[name].replace(f"--out {name}", "--out again"))
-        assert (pages / "again" / f"{name}.html").read_bytes() == (pages / PAGES[name]).read_bytes()
-
-
-def test_a_file_that_was_changed_after_the_run_stands_out(run_folder: Path) -> None:
+def test_a_file_changed_later_stands_out_and_one_given_twice_is_listed_twice(run_folder, tmp_path):
     run = open_run(run_folder)
     assert not any(each.bad for each in run_inputs(run))
     files = {**run.settings["files"], "truth.parquet": {"bytes": 1, "sha256": "0" * 64}}
@@ -119,9 +99,6 @@ def test_a_file_that_was_changed_after_the_run_stands_out(run_folder: Path) -> N
     assert changed.what == "truth of the run" and changed.note == CHANGED
     assert CHANGED in top_line(Provenance("report of a run", "modsim3d report run", (changed,)))
     assert CHANGED not in top_line(Provenance("report of a run", "modsim3d report run", run_inputs(run)))
-
-
-def test_a_file_that_is_given_twice_is_listed_twice_and_one_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     read = [tmp_path / name for name in ("gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt")]
     for path in read:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +114,21 @@ def test_a_file_that_is_given_twice_is_listed_twice_and_one_that_cannot_be_read_
         file_input("detector file", tmp_path / "gone.yaml")
 
 
-def test_tests_that_pass_are_folded_behind_their_number(pages: Path) -> None:
+def test_pages_have_what_the_run_has_are_the_same_bytes_again_and_fold_tests_that_pass(pages):
+    run = json.loads((pages / "run" / "run.json").read_text())
+    for name in ("verify", "score", "report"):
+        text = block(pages, name)
+        assert run["scene_sha256"] in text and run["backend"] in text
+        assert f"<th>Seed: scene</th><td>{run['seed']}</td>" in text and "NumPy" in text
+    text = block(pages, "campaign")
+    assert re.findall(r"<th>Seed: (.*?)</th><td>(.*?)</td>", text) == [("campaign", "7")]
+    assert "<th>Traffic seeds</th><td>2</td>" in text
+    what, path, digest = inputs(pages, "learn")[0]
+    assert (what, path) == ("detector file that was learned", "detector.yaml")
+    assert digest == sha256(pages / "learn" / path)
+    for name in ("verify", "compare"):
+        command(COMMANDS[name].replace(f"--out {name}", "--out again"))
+        assert (pages / "again" / f"{name}.html").read_bytes() == (pages / PAGES[name]).read_bytes()
     verified = json.loads((pages / "verify" / "verify.json").read_text())
     passed = [each for each in verified["parameters"] if each["verdict"] == "obeys"]
     summaries = re.findall(r"<details><summary>[^<]*?: (\d+) tests? passed", (pages / PAGES["verify"]).read_text())

@@ -1,11 +1,14 @@
-"""The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
+"""The page of a run in a real browser: it plays, obeys mouse and keyboard, lists vessels and numbers."""
 
 import json
+import math
 import re
 from collections import defaultdict
 from itertools import pairwise
 
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 
 from modsim3d import load_scene, open_run, run_scene
@@ -35,7 +38,7 @@ def crowded(run_folder):
     raise AssertionError("no such step")
 
 
-def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_and_vessel(browser, page, crowded):
+def test_page_asks_for_nothing_and_slider_timeline_and_layers_choose_what_is_shown(browser, page, crowded, run_folder):
     browser.open(page, hash=f"#step={crowded}")
     assert browser.run("[player.recording.length, document.querySelector('#failure').hidden]") == [STEPS, True]
     before = browser.pixels()
@@ -53,9 +56,6 @@ def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_a
     browser.click("#timeline", 0.9, (top + 1.5 * row) / height)
     assert browser.run("player.followed") == vessels[1]
     assert [url.partition("#")[0] for url in browser.requests] == [page.resolve().as_uri()]
-
-
-def test_layers_are_shown_by_mouse_and_key_silhouettes_in_their_vessels_colour(browser, page, crowded, run_folder):
     browser.open(page, hash=f"#step={crowded}")
     browser.press("9")  # false positives may be far from any vessel
     everything, names = browser.pixels(), browser.run("Object.keys(player.shown)")
@@ -87,7 +87,7 @@ def test_layers_are_shown_by_mouse_and_key_silhouettes_in_their_vessels_colour(b
     assert looked_at
 
 
-def test_the_close_up_is_of_a_mistake_and_an_image_without_vessels_says_so(browser, page, mistaken_page):
+def test_the_close_up_is_of_a_mistake_and_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page):
     browser.open(page, hash="#step=0")
     picture, empty = browser.pixels(), browser.run("player.stage.frames[0].truths.length")
     assert empty == 0 and (picture[len(picture) * 3 // 10 - 8 :][:16, :, :3].min(axis=2) > 250).any()  # white letters
@@ -95,9 +95,16 @@ def test_the_close_up_is_of_a_mistake_and_an_image_without_vessels_says_so(brows
     for step in browser.run("player.recording.moments(0, 'missed').slice(0, 5).map(({ index }) => index)"):
         browser.run(f"player.go({step})")
         assert browser.run("document.querySelector('#vessels .chosen').matches('.wrong')"), step
+    browser.open(mistaken_page)
+    legend, every = browser.text("#legend"), browser.run("player.timeline.rowsTop")
+    assert all(word in legend for word in ("wrong class", "IoU below 0.5", "off its vessel", "missed"))
+    browser.open(page)  # its detector has one class
+    legend = browser.text("#legend")
+    assert "wrong class" not in legend.partition("Strips")[0] and "IoU below 0.5" in legend
+    assert browser.run("player.timeline.rowsTop") < every
 
 
-def test_keyboard_alone_is_enough(browser, page):
+def test_keyboard_alone_is_enough_and_the_scheme_is_the_systems_or_the_buttons(browser, page):
     browser.open(page, hash="#step=50")
     last = STEPS - 1
     arrows = (("ArrowRight", False, 51), ("ArrowLeft", False, 50), ("ArrowRight", True, 60), ("ArrowLeft", True, 50))
@@ -120,97 +127,6 @@ def test_keyboard_alone_is_enough(browser, page):
     assert browser.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     before = browser.run("player.index")
     assert browser.after(" ", "[player.index, player.playing]") == [before + 1, False]  # the button that has the focus
-
-
-def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
-    run, occluded, states = open_run(mistaken_folder), {}, []
-    names, wrong = run.scene.vessel_names, defaultdict(set)  # of each kind: steps and vessels
-    for frame in (frame for frame in run.frames() if frame.camera == "bow"):
-        truth = frame.truth
-        # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
-        occluded = {
-            name: seen <= (0.98 if occluded.get(name) else 0.9) * WHOLE
-            for name, seen in zip(truth.vessels, in_250ths(truth.visible_fraction).tolist(), strict=True)
-        }
-        hidden = np.array(list(occluded.values()))
-        states.append(frame.state)
-        if frame.state != states[0]:
-            wrong["state"].add((frame.step, None))
-        for kind, which in (("missed", truth.annotated & ~truth.detected), ("hidden", hidden)):
-            wrong[kind].update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
-        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
-            for kind in (kind for kind, flag in FLAGS.items() if outcome & flag):
-                wrong[kind].add((frame.step, None if row is None else truth.vessels[row]))
-    browser.open(mistaken_page)
-    kinds = browser.run("[...document.querySelector('#kind').options].map(option => option.value)")
-    assert set(kinds) == {kind for kind, found in wrong.items() if found} >= {"hidden", "state", *FLAGS}
-    assert sum(before != after for before, after in pairwise(states)) == 1
-    for kind in kinds:
-        browser.choose("kind", kind)
-        moments = browser.run("player.moments.list")
-        covered = {
-            (step, None if moment["vessel"] is None else names[moment["vessel"]])
-            for moment in moments
-            for step in range(moment["index"], moment["until"] + 1)
-        }
-        assert covered == wrong[kind], kind
-        starts = ((moment["index"], moment["vessel"]) for moment in moments)  # frames in a row are one moment
-        assert {(moment["until"] + 1, moment["vessel"]) for moment in moments}.isdisjoint(starts)
-        listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
-        assert listed == ["", *map(str, range(len(moments)))]
-        browser.choose("moment", str(len(moments) - 1))
-        index, followed = browser.run("[player.index, player.followed]")
-        assert index == moments[-1]["index"] and (kind == "state" or followed == moments[-1]["vessel"])
-
-
-def test_what_is_wrong_is_in_picture_and_list_and_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
-    browser.open(mistaken_page)
-    browser.choose("kind", "false")
-    browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
-    detections = "player.recording.detections(player.index, player.camera)"
-    boxes = browser.after("n", f"{detections}.filter(each => each.false)")
-    assert boxes and all(browser.run(f"player.picture.shows({json.dumps(each['box'])})") for each in boxes)
-    browser.choose("kind", "mislabelled")
-    vessel = browser.after("n", "player.followed")
-    (found,) = browser.run(f"{detections}.filter(each => each.vessel === {vessel} && !each.false)")
-    label, alarm = browser.run(f"(it => [it.vessels[{vessel}].label, it.colours.alarm])(player.recording.facts)")
-    said = f"{found['label']} {found['confidence']:.2f}, is a"
-    (plate,) = [plate for plate in browser.run("player.picture.plates") if plate["text"].startswith(said)]
-    assert found["label"] != label and plate["text"].endswith(label) and plate["colour"] == alarm
-    assert f"as {found['label']}" in browser.text("#vessels tr.chosen")
-    browser.choose("kind", "off")
-    browser.press("n")
-    assert "off it" in browser.text("#vessels tr.chosen") and "off their vessel" in browser.text("#status")
-    for name in ("labels", "false", "missed"):  # so that nothing else is red
-        browser.click(f"#layer-{name}")
-    apart, place, box, truth = browser.run(
-        "player.moments.list.map(({ index, vessel }, place) => {"
-        "  const box = player.recording.detections(index, 0).find(each => each.vessel === vessel && !each.false).box;"
-        "  const truth = player.recording.truths(index, 0).find(each => each.vessel === vessel).target;"
-        "  const apart = Math.max(truth[0] - box[2], box[0] - truth[2], truth[1] - box[3], box[1] - truth[3]);"
-        "  return [apart, place, box, truth]; }).sort((a, b) => b[0] - a[0])[0]"
-    )
-    browser.choose("moment", str(place))
-    assert apart > 3
-    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
-    middle = np.add(box[:2], box[2:]) / 2
-    near = 0.8 * middle + 0.2 * np.clip(middle, truth[:2], truth[2:])
-    column, row = browser.run(f"player.picture.toCanvas(...{near.tolist()})")
-    around = browser.pixels()[int(row) - 1 : int(row) + 3, int(column) - 1 : int(column) + 3, :3].reshape(-1, 3)
-    assert (np.abs(around.astype(int) - palette.ALARM).sum(axis=1) < 90).any()
-
-
-def test_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page):
-    browser.open(mistaken_page)
-    legend, every = browser.text("#legend"), browser.run("player.timeline.rowsTop")
-    assert all(word in legend for word in ("wrong class", "IoU below 0.5", "off its vessel", "missed"))
-    browser.open(page)  # its detector has one class
-    legend = browser.text("#legend")
-    assert "wrong class" not in legend.partition("Strips")[0] and "IoU below 0.5" in legend
-    assert browser.run("player.timeline.rowsTop") < every
-
-
-def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     colour = "getComputedStyle(document.body).backgroundColor"
     browser.open(page)
     light, timeline = browser.run(colour), browser.pixels("timeline")
@@ -254,7 +170,45 @@ def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tm
     assert browser.run("document.querySelector('#failure').hidden")
 
 
-def test_a_least_confidence_changes_boxes_and_counts_and_stands_in_the_address(browser, mistaken_page, mistaken_folder):
+def test_moments_are_of_their_kind_and_a_least_confidence_changes_counts(browser, mistaken_page, mistaken_folder):
+    run, occluded, states = open_run(mistaken_folder), {}, []
+    names, wrong = run.scene.vessel_names, defaultdict(set)  # of each kind: steps and vessels
+    for frame in (frame for frame in run.frames() if frame.camera == "bow"):
+        truth = frame.truth
+        # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
+        occluded = {
+            name: seen <= (0.98 if occluded.get(name) else 0.9) * WHOLE
+            for name, seen in zip(truth.vessels, in_250ths(truth.visible_fraction).tolist(), strict=True)
+        }
+        hidden = np.array(list(occluded.values()))
+        states.append(frame.state)
+        if frame.state != states[0]:
+            wrong["state"].add((frame.step, None))
+        for kind, which in (("missed", truth.annotated & ~truth.detected), ("hidden", hidden)):
+            wrong[kind].update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
+        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
+            for kind in (kind for kind, flag in FLAGS.items() if outcome & flag):
+                wrong[kind].add((frame.step, None if row is None else truth.vessels[row]))
+    browser.open(mistaken_page)
+    kinds = browser.run("[...document.querySelector('#kind').options].map(option => option.value)")
+    assert set(kinds) == {kind for kind, found in wrong.items() if found} >= {"hidden", "state", *FLAGS}
+    assert sum(before != after for before, after in pairwise(states)) == 1
+    for kind in kinds:
+        browser.choose("kind", kind)
+        moments = browser.run("player.moments.list")
+        covered = {
+            (step, None if moment["vessel"] is None else names[moment["vessel"]])
+            for moment in moments
+            for step in range(moment["index"], moment["until"] + 1)
+        }
+        assert covered == wrong[kind], kind
+        starts = ((moment["index"], moment["vessel"]) for moment in moments)  # frames in a row are one moment
+        assert {(moment["until"] + 1, moment["vessel"]) for moment in moments}.isdisjoint(starts)
+        listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
+        assert listed == ["", *map(str, range(len(moments)))]
+        browser.choose("moment", str(len(moments) - 1))
+        index, followed = browser.run("[player.index, player.followed]")
+        assert index == moments[-1]["index"] and (kind == "state" or followed == moments[-1]["vessel"])
     least, camera = 0.5, "bow"
     table = open_run(mistaken_folder).tables()["detections"]
     rows = [row for row in table.to_pylist() if row["camera"] == camera and row["confidence"] >= least]
@@ -297,7 +251,41 @@ GALLERY = """new Promise(done => {
     look(); })"""
 
 
-def test_all_mistakes_are_pictures_to_filter_that_lead_to_their_frames(browser, mistaken_page):
+def test_mistakes_are_in_picture_list_and_gallery_and_a_line_joins_a_box_to_its_vessel(browser, mistaken_page):
+    browser.open(mistaken_page)
+    browser.choose("kind", "false")
+    browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
+    detections = "player.recording.detections(player.index, player.camera)"
+    boxes = browser.after("n", f"{detections}.filter(each => each.false)")
+    assert boxes and all(browser.run(f"player.picture.shows({json.dumps(each['box'])})") for each in boxes)
+    browser.choose("kind", "mislabelled")
+    vessel = browser.after("n", "player.followed")
+    (found,) = browser.run(f"{detections}.filter(each => each.vessel === {vessel} && !each.false)")
+    label, alarm = browser.run(f"(it => [it.vessels[{vessel}].label, it.colours.alarm])(player.recording.facts)")
+    said = f"{found['label']} {found['confidence']:.2f}, is a"
+    (plate,) = [plate for plate in browser.run("player.picture.plates") if plate["text"].startswith(said)]
+    assert found["label"] != label and plate["text"].endswith(label) and plate["colour"] == alarm
+    assert f"as {found['label']}" in browser.text("#vessels tr.chosen")
+    browser.choose("kind", "off")
+    browser.press("n")
+    assert "off it" in browser.text("#vessels tr.chosen") and "off their vessel" in browser.text("#status")
+    for name in ("labels", "false", "missed"):  # so that nothing else is red
+        browser.click(f"#layer-{name}")
+    apart, place, box, truth = browser.run(
+        "player.moments.list.map(({ index, vessel }, place) => {"
+        "  const box = player.recording.detections(index, 0).find(each => each.vessel === vessel && !each.false).box;"
+        "  const truth = player.recording.truths(index, 0).find(each => each.vessel === vessel).target;"
+        "  const apart = Math.max(truth[0] - box[2], box[0] - truth[2], truth[1] - box[3], box[1] - truth[3]);"
+        "  return [apart, place, box, truth]; }).sort((a, b) => b[0] - a[0])[0]"
+    )
+    browser.choose("moment", str(place))
+    assert apart > 3
+    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
+    middle = np.add(box[:2], box[2:]) / 2
+    near = 0.8 * middle + 0.2 * np.clip(middle, truth[:2], truth[2:])
+    column, row = browser.run(f"player.picture.toCanvas(...{near.tolist()})")
+    around = browser.pixels()[int(row) - 1 : int(row) + 3, int(column) - 1 : int(column) + 3, :3].reshape(-1, 3)
+    assert (np.abs(around.astype(int) - palette.ALARM).sum(axis=1) < 90).any()
     browser.open(mistaken_page, hash="#step=0")
     browser.click("#mistakes summary")
     browser.run(GALLERY)
@@ -337,3 +325,122 @@ def test_pictures_of_the_scene_are_below_the_boxes_of_mistakes_and_not_while_the
     assert aspect == pytest.approx(width / height, rel=0.005) and tuple(seen[at]) != palette.SKY
     browser.run("(player.playback.playing = true, player.draw(), 0)")
     assert tuple(browser.pixels()[at]) == palette.SKY
+
+
+STEP = 90
+ROWS = "[...document.querySelectorAll('#{} tr')].map(row => [...row.cells].map(cell => cell.textContent))"
+LEFT_OUT = {"camera", "step", "timestamp"}  # above the table
+BOX = {f"{which}_{side}_px" for which in ("full", "visible") for side in ("x_min", "y_min", "x_max", "y_max")}
+TENTHS = {*BOX, "silhouette_px", "visible_px", "depth_m"}
+DIGITS = {**dict.fromkeys(TENTHS, 1), "visible_fraction": 4, "in_frame_fraction": 4}
+
+
+def open_numbers(browser):
+    """Press the key and wait until the tables are filled: a browser tells later that a part was browser."""
+    browser.press("d")
+    filled = "player.numbers.detections ? done(1) : setTimeout(look, 5)"
+    browser.run(f"new Promise(done => {{ const look = () => {filled}; look(); }})")
+
+
+def test_the_tables_have_every_column_are_copied_and_follow_steps_not_play(browser, mistaken_page, mistaken_folder):
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    open_numbers(browser)
+    header, *rows = browser.run(ROWS.format("numbersTruth"))
+    table = pq.read_table(mistaken_folder / "truth.parquet")
+    truth = table.filter((pc.field("step") == STEP) & (pc.field("camera") == "bow")).to_pylist()
+    assert set(header) == set(table.column_names) - LEFT_OUT
+    assert any(len(row["occluded_by"]) > 1 for row in truth)
+    expected = {row["vessel"]: row for row in truth}
+    assert [row[0] for row in rows] == [row["vessel"] for row in sorted(truth, key=lambda row: row["depth_m"])]
+    for cells in (dict(zip(header, row, strict=True)) for row in rows):
+        row = expected[cells["vessel"]]
+        for name, digits in DIGITS.items():
+            value = row[name]
+            assert (cells[name] == "") == (value is None), name
+            if value is not None:
+                assert math.isclose(float(cells[name]), value, abs_tol=0.51 * 10**-digits, rel_tol=1e-6), name
+        assert all(cells[name] == str(row[name]).lower() for name in ("annotated", "detected"))
+        assert cells["label"] == row["label"]
+        said = dict(part.split(": ") for part in cells["occluded_by"].split(", ") if part)
+        assert list(said) == [each["id"] for each in sorted(row["occluded_by"], key=lambda each: -each["px"])]
+        for each in row["occluded_by"]:
+            assert math.isclose(float(said[each["id"]]), each["px"], abs_tol=0.06, rel_tol=1e-6)
+    browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    browser.click("#numbersCopy")
+    text = browser.run("new Promise(done => setTimeout(() => done(navigator.clipboard.readText()), 50))")
+    of, copied, detections = text.rstrip("\n").split("\n\n")
+    assert of == f"bow, {browser.run('player.recording.facts.timestamps[player.index]')} s, step {STEP}"
+    assert [line.split("\t") for line in copied.split("\n")] == [header, *rows]
+    assert [line.split("\t") for line in detections.split("\n")] == browser.run(ROWS.format("numbersDetections"))
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    browser.click("#numbers summary")
+    browser.run("new Promise(done => setTimeout(done, 50))")  # the browser opens it in its own time
+    header, *rows = browser.run(ROWS.format("numbersDetections"))
+    table = pq.read_table(mistaken_folder / "detections.parquet")
+    found = table.filter((pc.field("step") == STEP) & (pc.field("camera") == "bow")).to_pylist()
+    assert len(rows) == len(found) > 3
+    for cells, row in zip((dict(zip(header, row, strict=True)) for row in rows), found, strict=True):
+        for name in ("detection", "label", "kind", "vessel", "state"):
+            assert cells[name] == ("" if row[name] is None else str(row[name]))
+        assert math.isclose(float(cells["confidence"]), row["confidence"], abs_tol=5.1e-4)
+        assert math.isclose(float(cells["x_max_px"]), row["x_max_px"], abs_tol=0.051)
+        assert (cells["outcome"] == "false positive") == (row["kind"] not in ("true", "merged", "split"))
+    assert f"step {STEP}" in browser.text("#numbersOf")
+    browser.run("(player.playback.playing = true, player.go(20))")
+    assert f"step {STEP}" in browser.text("#numbersOf")
+    browser.run("player.play(false)")
+    assert "step 20" in browser.text("#numbersOf")
+    browser.open(mistaken_page, hash=f"#step={STEP}")
+    browser.run("(player.playback.playing = true, 0)")  # without a clock
+    open_numbers(browser)
+    assert len(browser.run(ROWS.format("numbersDetections"))) > 3
+    place = browser.run("player.numbers.detections.findLastIndex(each => each.false)")
+    click = f"document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click()"
+    for step, alarm in ((20, None), (STEP, place)):  # first one of another frame
+        browser.run(f"(player.go({step}), {click})")
+        assert browser.run("player.alarm") == alarm
+    assert place >= 0
+
+
+LISTED = "[...document.querySelectorAll('#vessels tr')].map(row => row.querySelector('button').textContent)"
+FIND = "(find => {{ find.value = '{}'; find.dispatchEvent(new Event('input')); }})(document.querySelector('#find'))"
+HERE = "player.stage.frames[0].truths"
+VESSELS = "player.recording.facts.vessels"
+
+
+def test_the_list_has_the_order_and_the_vessels_that_are_asked_for_says_so_and_stays_in_play(browser, mistaken_page):
+    browser.open(mistaken_page, hash="#step=100")
+    scene = browser.run(LISTED)
+    browser.click("[data-order=distance]")
+    assert browser.text("th[aria-sort]") == "Distance"
+    here = browser.run(f"{HERE}.toSorted((a, b) => a.depth - b.depth).map(({{ vessel }}) => {VESSELS}[vessel].name)")
+    assert browser.run(LISTED)[: len(here)] == here and set(browser.run(LISTED)) == set(scene)
+    browser.click("[data-order=distance]")
+    assert browser.run("document.querySelector('th[aria-sort]').ariaSort") == "descending"
+    assert browser.run(LISTED)[: len(here)] == here[::-1]  # who is not in the image stays at the end
+    browser.click("[data-order=distance]")
+    assert browser.run(LISTED) == scene and browser.run("document.querySelector('th[aria-sort]')") is None
+    browser.click("[data-order=outcome]")
+    assert browser.run(LISTED) == scene  # mistakes first, then who is in the image, also unasked
+    ranks = browser.run(f"{LISTED}.map(name => {HERE}.find(({{ vessel }}) => {VESSELS}[vessel].name === name)?.missed)")
+    missed = ranks.count(True)
+    assert missed > 0 and ranks[:missed] == [True] * missed
+    browser.run("player.go(0)")
+    browser.choose("which", "missed")
+    before = browser.run(LISTED)
+    browser.run("(player.playback.playing = true, player.go(100))")  # as the clock does
+    assert browser.run(LISTED) == before
+    browser.run("player.play(false)")
+    assert browser.run(LISTED) != before
+    browser.choose("which", "all")
+    for which, test in (("here", "true"), ("missed", "missed")):
+        browser.choose("which", which)
+        expected = browser.run(f"{HERE}.filter(({{ missed }}) => {test}).map(({{ vessel }}) => {VESSELS}[vessel].name)")
+        assert sorted(browser.run(LISTED)) == sorted(expected)
+    browser.choose("which", "all")
+    every = browser.run(LISTED)
+    browser.run(FIND.format("BOAT"))
+    assert 0 < len(browser.run(LISTED)) < len(every)
+    labels = browser.run(f"Object.fromEntries({VESSELS}.map(({{ name, label }}) => [name, label]))")
+    assert browser.run(LISTED) == [name for name in every if "boat" in f"{name} {labels[name]}"]
+    assert browser.text("#listed") == f"{len(browser.run(LISTED))} of {len(every)}"

@@ -38,7 +38,11 @@ def table_after(page, title):
     return [re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in rows]
 
 
-def test_page_holds_every_frame_of_the_run(page, run_folder):
+def whole(number):
+    return int(number.replace(",", ""))
+
+
+def test_page_holds_every_frame_silhouettes_and_counts_of_the_run(page, run_folder):
     facts, columns = unpack(page)
     quantum, names_of = facts["quantum"], [vessel["name"] for vessel in facts["vessels"]]
     for index, frame in enumerate(open_run(run_folder).frames()):
@@ -61,9 +65,6 @@ def test_page_holds_every_frame_of_the_run(page, run_folder):
             (columns["box"].reshape(-1, 4)[drawn], found.boxes_px),
         ):
             np.testing.assert_allclose(boxes * quantum, boxes_px, atol=quantum / 2 + 1e-9)
-
-
-def test_silhouettes_have_the_boxes_of_the_truth(page):
     unpacked = read(page)
     facts, columns, boxes = unpacked.facts, unpacked.columns, {}
     for frame, (first, stop) in enumerate(pairwise(columns["shapeStart"])):
@@ -74,13 +75,6 @@ def test_silhouettes_have_the_boxes_of_the_truth(page):
     assert len(boxes) == len(frames) > 100
     drawn = np.array([boxes[key] for key in zip(frames, columns["vessel"], strict=True)]) * facts["quantum"]
     np.testing.assert_allclose(drawn, columns["full"].reshape(-1, 4) * facts["quantum"], atol=1.01 * facts["quantum"])
-
-
-def whole(number):
-    return int(number.replace(",", ""))
-
-
-def test_counts_are_those_of_the_run(page, run_folder):
     run = json.loads((run_folder / "run.json").read_text())
     counts, by_camera = run["counts"], run["camera_counts"]
     titles = {"vessel_frames": "Vessels in frames", "fully_hidden": "Wholly hidden", "mislabelled": "Wrong class"}
@@ -112,7 +106,12 @@ def first_said(page):
     return {name: (whole(number), meaning) for name, number, meaning in tiles}, warning and list(warning.groups())
 
 
-def test_the_result_comes_first_with_a_warning_only_where_many_boxes_are_bad(mistaken_page, mistaken_folder, tmp_path):
+def test_player_has_each_outcome_and_the_result_first_with_any_warning(mistaken_page, mistaken_folder, tmp_path):
+    (facts, columns), frames = unpack(mistaken_page), list(open_run(mistaken_folder).frames())
+    assert facts["outcomes"] == {flag.name: flag.value for flag in Outcome}
+    assert columns["outcome"].tolist() == [outcome for frame in frames for outcome in frame_outcomes(frame)]
+    kinds = [facts["kinds"][kind] for kind in columns["kind"]]
+    assert kinds == [kind for frame in frames for kind in frame.detections.kinds]
     counts = json.loads((mistaken_folder / "run.json").read_text())["counts"]
     of_vessels = counts["detected"] - counts["merged"]
     every, annotated = of_vessels + counts["false_positives"], counts["annotated"]
@@ -143,15 +142,7 @@ def test_the_result_comes_first_with_a_warning_only_where_many_boxes_are_bad(mis
     assert tiles["Detected"][0] > 0 and warning is None
 
 
-def test_player_has_the_outcome_and_kind_of_each_detection(mistaken_page, mistaken_folder):
-    (facts, columns), frames = unpack(mistaken_page), list(open_run(mistaken_folder).frames())
-    assert facts["outcomes"] == {flag.name: flag.value for flag in Outcome}
-    assert columns["outcome"].tolist() == [outcome for frame in frames for outcome in frame_outcomes(frame)]
-    kinds = [facts["kinds"][kind] for kind in columns["kind"]]
-    assert kinds == [kind for frame in frames for kind in frame.detections.kinds]
-
-
-def test_same_run_gives_the_same_page_with_settings_versions_and_links_to_other_pages(page, run_folder, tmp_path):
+def test_same_run_gives_the_same_page_and_every_kth_step_is_shown_and_all_are_counted(page, run_folder, tmp_path):
     text = page.read_text(encoding="utf-8").replace("<wbr>", "")
     settings = text.partition("All settings of the run</summary>")[2].partition("</table>")[0]
     said = dict(re.findall(r"<tr><th>(.*?)</th><td>(.*?)</td></tr>", settings))
@@ -163,9 +154,6 @@ def test_same_run_gives_the_same_page_with_settings_versions_and_links_to_other_
     (copy / "verify.html").write_text("")
     text = write_report(open_run(copy), copy / "sub" / "page.html").read_text(encoding="utf-8")
     assert 'href="../verify.html"' in text and "compare.html" not in text
-
-
-def test_every_kth_step_is_shown_and_all_are_counted(page, run_folder, tmp_path):
     thinned = write_report(open_run(run_folder), tmp_path / "some.html", every=7)
     facts, columns = unpack(thinned)
     all_facts, everything = unpack(page)
@@ -213,7 +201,7 @@ def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):
     np.testing.assert_array_equal(columns["confidence"][: whole["drawnStart"][shared]][:100], whole["confidence"][:100])
 
 
-def test_command_says_where_it_writes_the_page_and_if_asked_frames_beside_it(call, run_folder, tmp_path):
+def test_command_says_where_it_writes_and_bad_input_is_one_message(call, run_folder, tmp_path):
     page, folder = tmp_path / "new" / "long.html", tmp_path / "new" / "long_parts"
     arguments = "report", run_folder, "--out", page, "--every", 10, "--parts"
     status, said = call(*arguments)
@@ -225,9 +213,6 @@ def test_command_says_where_it_writes_the_page_and_if_asked_frames_beside_it(cal
     (folder / "notes.txt").touch()
     status, said = call(*arguments, "--overwrite")
     assert status == 2 and str(folder) in said
-
-
-def test_bad_input_is_one_message(call, run_folder, tmp_path):
     missing, empty, file = (tmp_path / name for name in ("nowhere", "empty", "file"))
     empty.mkdir()
     file.touch()

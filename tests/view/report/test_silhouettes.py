@@ -1,19 +1,26 @@
-"""Silhouettes as closed lines, the order in which they are painted, and the edges around what a mesh covers."""
+"""Silhouettes as closed lines, the order in which they are painted, and who is at each pixel of a page."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import maximum_filter, minimum_filter
 
+from modsim3d import Window, load_scene, open_run, run_scene
 from modsim3d.geometry.camera import Distortion
 from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
-from modsim3d.scene.reading import load_scene
+from modsim3d.io.input_files import data_folder
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.truth.silhouettes import in_image, silhouette_polygons
+from modsim3d.view import palette
+from modsim3d.view.pictures.plain import Solids, open_id_renderer
 from modsim3d.view.report.overview import PartMotion
+from modsim3d.view.report.report import REPORT_FILE, write_report
 from modsim3d.view.report.silhouette_edges import contours, silhouette_edges, tidy_at_border
 from modsim3d.view.report.silhouettes import OutlineStore, Shapes, in_front, outline_numbers, painting_order, shapes
 from modsim3d.world.bodies import vessel_bodies
@@ -61,25 +68,6 @@ def test_lines_wind_around_each_point_as_often_as_triangles_cover_it(triangles, 
         assert windings(around[of_corner == shape], point) == windings(edges[of_edge == shape], point)
 
 
-def test_triangles_that_share_an_edge_have_one_line_around_both_and_nothing_has_none():
-    triangles = np.array([[(0, 0), (4, 0), (4, 4)], [(0, 0), (4, 4), (0, 4)]])
-    found, none = (contours(np.zeros(3 * n, dtype=np.int64), edges_of(triangles[:n])) for n in (2, 0))
-    assert found.count.tolist() == [4]
-    assert {tuple(corner) for corner in found.corners.tolist()} == {(0, 0), (4, 0), (4, 4), (0, 4)}
-    assert len(none.shape) == len(none.count) == len(none.corners) == 0
-
-
-def test_shapes_of_a_shoebox_are_its_hull_and_nearer_ones_come_later_whatever_the_distance_of_their_centres():
-    near, far = (vessel("near"), (60.0, 0.0), 0.3), (vessel("far", 40.0), (120.0, 5.0), 0.3)
-    drawn = shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE)
-    assert (drawn.occluder.tolist(), drawn.lines.tolist()) == ([1, 0], [1, 1])
-    assert all(4 <= count <= 6 for count in drawn.count)
-    # A boat before the stern of a long ship, whose centre is nearer.
-    outlines = outlines_of([(vessel("ship", 300.0, 30.0), (300.0, 0.0), 1.2), (vessel("boat"), (305.0, 82.4), 0.0)])
-    assert outlines.depth_m[0] < outlines.depth_m[1]
-    assert [rows.tolist() for rows in in_front(outlines, 2, NONE)] == [[0], [1]]
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_what_planes_say_of_who_is_in_front_holds_at_depths_that_do_not_overlap(monkeypatch, seed):
     outlines = outlines_of(random_places(np.random.default_rng(seed), 40))
@@ -116,7 +104,15 @@ def test_an_outline_that_stays_is_stored_once():
     assert len(store.shapes()) == 4
 
 
-def test_truth_decides_between_intersecting_solids():
+def test_nearer_shapes_come_later_truth_decides_where_solids_meet_and_frames_stay_apart():
+    near, far = (vessel("near"), (60.0, 0.0), 0.3), (vessel("far", 40.0), (120.0, 5.0), 0.3)
+    drawn = shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE)
+    assert (drawn.occluder.tolist(), drawn.lines.tolist()) == ([1, 0], [1, 1])
+    assert all(4 <= count <= 6 for count in drawn.count)
+    # A boat before the stern of a long ship, whose centre is nearer.
+    outlines = outlines_of([(vessel("ship", 300.0, 30.0), (300.0, 0.0), 1.2), (vessel("boat"), (305.0, 82.4), 0.0)])
+    assert outlines.depth_m[0] < outlines.depth_m[1]
+    assert [rows.tolist() for rows in in_front(outlines, 2, NONE)] == [[0], [1]]
     both = [(vessel("a", 20.0), (60.0, 0.0), 0.0), (vessel("b", 20.0), (61.0, 1.0), 0.7)]
     first_behind, second_behind = 0 * 2 + 1, 1 * 2 + 0  # keys: hidden * vessels + hider
     for truth, pairs in (
@@ -127,10 +123,7 @@ def test_truth_decides_between_intersecting_solids():
     ):
         found = in_front(outlines_of(both), 2, np.array(truth, dtype=np.int64))
         assert [part.tolist() for part in found] == pairs
-
-
-def test_frames_of_a_run_stay_apart():
-    """At each of three steps one vessel, in another place."""
+    # At each of three steps one vessel, in another place.
     vessels = [vessel("a"), vessel("b")]
     positions = np.array([[[60.0, 0, 0], [80, 0, 0]], [[70, 5, 0], [90, 5, 0]], [[80, -9, 0], [60, -9, 0]]])
     present = np.array([[True, False], [True, True], [False, True]])
@@ -219,7 +212,12 @@ def test_edges_wind_around_what_the_faces_cover_and_around_nothing_else(strait, 
     assert len(cuts) > 10 and any(cuts)
 
 
-def test_ways_to_and_fro_along_the_border_are_left_out():
+def test_triangles_that_share_an_edge_have_one_line_and_ways_to_and_fro_are_left_out():
+    triangles = np.array([[(0, 0), (4, 0), (4, 4)], [(0, 0), (4, 4), (0, 4)]])
+    found, none = (contours(np.zeros(3 * n, dtype=np.int64), edges_of(triangles[:n])) for n in (2, 0))
+    assert found.count.tolist() == [4]
+    assert {tuple(corner) for corner in found.corners.tolist()} == {(0, 0), (4, 0), (4, 4), (0, 4)}
+    assert len(none.shape) == len(none.count) == len(none.corners) == 0
     there = [[(0, 0), (4, 3)], [(4, 3), (0, 9)], [(0, 9), (0, 2)], [(0, 2), (0, 7)], [(0, 7), (0, 0)]]
     shape, ends = tidy_at_border(np.array([3] * 5), np.array(there), (20, 20))
     assert shape.tolist() == [3, 3, 3]
@@ -236,3 +234,88 @@ def test_poses_of_a_part_are_those_of_each_camera_on_its_own(strait):
         alone = strait.motion.at(steps)
         np.testing.assert_array_equal(motion.at(steps).world_R_vessel, alone.world_R_vessel)
         np.testing.assert_array_equal(motion.at(steps).poses.positions_m, alone.poses.positions_m)
+
+
+DATA = Path(__file__).parents[2] / "data"
+STRAIT_STEPS = 6
+EDGE_PX = 5  # pixels are compared that have one owner around them so far: smooth edges have mixed colours
+
+
+@pytest.fixture(scope="module")
+def crowded_strait(tmp_path_factory):
+    """The strait, with a bay around one vessel, a gate before another, and a lens that bends."""
+    folder = tmp_path_factory.mktemp("strait")
+    scene = yaml.safe_load((DATA / "crowded_strait.yaml").read_text(encoding="utf-8"))
+    scene["steps"] = STRAIT_STEPS
+    scene["poses"]["tracks"]["kayak"] = [[0, 100, -30], [150, 400, -30]]
+    bay = [[60, -60], [140, -60], [140, -20], [125, -20], [125, -45], [75, -45], [75, -25], [60, -25]]
+    scene["obstacles"]["bay"] = {"polygon_m": bay, "height_m": 2}
+    arch = {"position_m": [230, 20, 0], "size_m": [40, 2, 25], "heading_rad": 0.7, "mesh": {"file": "gate.obj"}}
+    torn = {"position_m": [200, -40, 0], "size_m": [30, 2, 18], "heading_rad": 1.9, "mesh": {"file": "torn.obj"}}
+    scene["obstacles"] |= {"gate": arch, "torn": torn}
+    scene["cameras"]["quay"]["distortion"] = {"k1": -0.12, "k2": 0.03}
+    scene["detector"] = str(data_folder("scenes") / "detectors" / "thesis.yaml")
+    (folder / "gate.obj").write_text(_gate(), encoding="utf-8")
+    (folder / "torn.obj").write_text("\n".join(_gate().splitlines()[:-2]), encoding="utf-8")  # not watertight
+    (folder / "scene.yaml").write_text(yaml.safe_dump(scene), encoding="utf-8")
+    run_scene(load_scene(str(folder / "scene.yaml")), folder / "run")
+    run = open_run(folder / "run")
+    write_report(run)
+    return run
+
+
+def _gate() -> str:
+    """A frame with a hole in it, one metre of each side wide and deep."""
+    outer, inner = [(-0.5, 0), (0.5, 0), (0.5, 1), (-0.5, 1)], [(-0.3, 0.2), (0.3, 0.2), (0.3, 0.7), (-0.3, 0.7)]
+    lines = [f"v {x} {y} {z}" for y in (-0.5, 0.5) for x, z in outer + inner]
+    for i, j in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        front, back = (1 + i, 1 + j, 5 + j, 5 + i), (9 + i, 13 + i, 13 + j, 9 + j)
+        outside, inside = (1 + j, 1 + i, 9 + i, 9 + j), (5 + i, 5 + j, 13 + j, 13 + i)
+        lines += ["f " + " ".join(map(str, face)) for face in (front, back, outside, inside)]
+    return "\n".join(lines) + "\n"
+
+
+def owners_buffer(scene, camera, step):
+    """Owner + 1 at each pixel; zero where nothing is."""
+    window = Window(0, 0, 1, scene.cameras[camera].intrinsics.image_size_px)
+    with open_id_renderer(scene) as id_renderer:
+        return Solids.at(scene, scene.cameras[camera], step).ids(window, id_renderer).astype(np.int64)
+
+
+def page_picture(browser, camera, index):
+    """What the page paints, as large as the camera's image, shape (rows, columns, 3)."""
+    browser.run(f"""(() => {{
+        const {{ recording }} = player, [width, height] = recording.facts.cameras[{camera}].size;
+        const canvas = Object.assign(document.createElement('canvas'), {{ width, height, id: 'painted' }});
+        const picture = new player.picture.constructor(canvas);
+        Object.assign(picture, {{ ratio: 1, view: {{ x: 0, y: 0, width }} }});
+        const frame = {{ shapes: recording.shapes({index}, {camera}), truths: [], detections: [] }};
+        picture.draw(recording, {index}, {camera}, {{ silhouettes: true }}, frame);
+        document.body.append(canvas);
+    }})()""")
+    return browser.pixels("painted")[..., :3]
+
+
+@pytest.mark.parametrize(("camera", "step"), [(0, 1), (0, STRAIT_STEPS - 1), (1, STRAIT_STEPS - 1)])
+def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, camera, step):
+    scene = crowded_strait.scene
+    browser.open(crowded_strait.folder / REPORT_FILE)
+    picture, ids = page_picture(browser, camera, step), owners_buffer(scene, camera, step)
+    assert picture.shape[:2] == ids.shape
+    vessels, obstacles = range(len(scene.vessels)), range(len(scene.obstacles))
+    colours = [
+        *(palette.darker(palette.vessel_colour(i, scene.own_ships)) for i in vessels),
+        *map(palette.obstacle_colour, obstacles),
+    ]
+    inside = (ids > 0) & (minimum_filter(ids, EDGE_PX) == maximum_filter(ids, EDGE_PX))
+    off = np.abs(picture[inside].astype(int) - np.array(colours)[ids[inside] - 1]).max(axis=1)
+    # A mast that meets no pixel centre is not in the buffer, and dims a pixel of the page a little.
+    assert np.mean(off > 8) < 1e-4
+    # Where the buffer has nobody there is sea or sky.
+    nobody = maximum_filter(ids, EDGE_PX) == 0
+    sea_or_sky = np.all(picture == palette.SEA, axis=2) | np.all(picture == palette.SKY, axis=2)
+    horizon = minimum_filter(sea_or_sky, EDGE_PX) | ~nobody
+    assert np.mean(horizon | sea_or_sky) > 0.995 and len(np.unique(ids[inside])) > 5
+    if (camera, step) == (0, 1):  # own bow, a vessel in a bay, and a hole with something behind it are there
+        shown = {["", *scene.occluder_names][owner] for owner in np.unique(ids).tolist()}
+        assert {"own", "obstacle:bay", "obstacle:gate", "obstacle:torn", "kayak", "ferry"} <= shown

@@ -12,7 +12,7 @@ from tests.view.report.unpacking import read
 LANE = "player.lanes.lanes.find(lane => lane.number === {})"
 
 
-def test_each_track_has_a_lane_with_marks_of_a_swap_and_a_false_one_of_nothing(browser, tracks_page, followed, pair):
+def test_each_track_has_a_lane_in_its_vessels_colour_with_marks_and_boxes(browser, tracks_page, followed, pair):
     browser.open(tracks_page)
     mark = "({ index, switched, moved }) => [number, index, switched, moved]"
     marked = browser.run(f"player.lanes.lanes.flatMap(({{ number, marks }}) => marks.map({mark}))")
@@ -28,9 +28,6 @@ def test_each_track_has_a_lane_with_marks_of_a_swap_and_a_false_one_of_nothing(b
         assert browser.run("player.lanes.lanes.map(lane => lane.number)") == expected and len(expected) > 2
         browser.press("c")
     assert followed.sentence() in browser.text("header")
-
-
-def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_there(browser, tracks_page, pair):
     browser.open(tracks_page, hash="#step=0")
     at, high = browser.run(f"[player.lanes.lanes.indexOf({LANE.format(pair[0])}), player.lanes.high]")
     for step, vessel in ((SWAP - 3, pair[0]), (SWAP + 3, pair[1])):
@@ -42,9 +39,6 @@ def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_t
     assert browser.run("[player.index, player.followed]") == [SWAP + 3, pair[1]]
     said = browser.text("#laneHint")
     assert f"step {SWAP + 3}:" in said and f"track {pair[0]} follows " in said
-
-
-def test_boxes_of_tracks_are_shown_by_key_and_mouse_and_lanes_scroll_into_sight(browser, tracks_page):
     browser.open(tracks_page, hash=f"#step={SWAP}")
     with_boxes = browser.pixels()
     browser.press("k")
@@ -64,22 +58,26 @@ def test_boxes_of_tracks_are_shown_by_key_and_mouse_and_lanes_scroll_into_sight(
     assert top <= (count - 1) * 13 < top + high
 
 
-def test_every_kth_step_keeps_the_marks_of_the_steps_between(run_folder, followed, tmp_path, pair):
+def test_every_kth_step_keeps_marks_and_without_tracks_is_no_lane(
+    run_folder, followed, tmp_path, pair, page, tracks_page
+):
     every = 7
     columns = read(write_report(open_run(run_folder), tmp_path / "page.html", every=every, followed=followed)).columns
     frames, marked = np.diff(columns["trackStart"]), columns["trackFlags"] & 2 > 0
     index = np.repeat(np.arange(len(frames)), frames)[marked] // 2  # of two cameras
     assert index.tolist() == [-(-SWAP // every)] * 2
-
-
-def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
     script = '<script type="module">'  # is the same on all pages
     plain, with_tracks = (path.read_text(encoding="utf-8").partition(script)[0] for path in (page, tracks_page))
     for part in ('id="lanes"', '"tracks"'):
         assert part not in plain and part in with_tracks
 
 
-def test_command_takes_a_file_says_what_is_in_it_and_a_similarity(call, browser, run_folder, rows, followed, tmp_path):
+def test_command_takes_tracks_with_a_similarity_which_needs_them(call, run_folder, tmp_path, browser, rows, followed):
+    missing, out = tmp_path / "nowhere", tmp_path / "page.html"
+    for options, words in ((("--threshold", 0.3), "are for --tracks"), (("--tracks", missing), str(missing))):
+        status, said = call("report", run_folder, *options, "--out", out)
+        assert status == 2 and words in said and "Traceback" not in said
+    assert not out.exists()
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
     status, said = call("report", run_folder, "--tracks", file, "--out", out, "--every", 20)
     assert status == 0 and followed.sentence() in " ".join(said.split())
@@ -90,11 +88,3 @@ def test_command_takes_a_file_says_what_is_in_it_and_a_similarity(call, browser,
     assert "1 - distance of centres / 150 px below 0.3" in browser.text("#legend")
     assert call("report", run_folder, "--tracks", file, "--out", file, "--overwrite")[0] == 2
     assert file.read_text(encoding="utf-8").startswith("camera,")
-
-
-def test_the_similarity_needs_tracks_and_missing_tracks_are_one_message(call, run_folder, tmp_path):
-    missing, out = tmp_path / "nowhere", tmp_path / "page.html"
-    for options, words in ((("--threshold", 0.3), "are for --tracks"), (("--tracks", missing), str(missing))):
-        status, said = call("report", run_folder, *options, "--out", out)
-        assert status == 2 and words in said and "Traceback" not in said
-    assert not out.exists()
