@@ -119,7 +119,7 @@ def placed(one):
     return found
 
 
-def test_places_of_the_lights_of_ships_trawlers_and_sailing_boats(strait):
+def test_places_of_the_lights_of_ships_trawlers_and_sailing_boats_and_of_the_strait_by_night(strait):
     """Annex I, sections 2 and 3, for the shipped meshes and for boxes of many sizes."""
     boxes = [vessel(length, air_draft_m=height) for length in (50, 90, 180, 300) for height in (20.0, 45.0)]
     ships = [one for one in strait.vessels if one.length_m >= 50]
@@ -142,10 +142,7 @@ def test_places_of_the_lights_of_ships_trawlers_and_sailing_boats(strait):
     places = np.array([light.place for light in lanterns(shipped["sailboat"], 4 * KNOT_M_S)])
     assert np.ptp(places, axis=0).max() == 0 and places[0, 2] == pytest.approx(1)
     assert places[0, 0] == pytest.approx(0.7 / 11, abs=0.01)  # where script/make_meshes puts the mast
-
-
-def test_strait_by_night(strait):
-    """The moment of docs/looks.png, from the bow camera."""
+    # The moment of docs/looks.png, from the bow camera.
     solids, shown = Solids.at(strait, strait.cameras[0], 110), defaultdict(list)
     for light in lights_towards(solids.sight, ground_speeds(strait, 110)):
         shown[strait.vessel_names[light.vessel]].append(light.lantern.name)
@@ -166,15 +163,6 @@ def ship_before_the_camera(folder, heading_deg, place_m):
     way = [[0, *place_m], [10, *(place_m + ahead).tolist()]]
     scene = load_scene(write_scene(folder, {"ship": ([200, 30, 40], way)}, 12))
     return [light.lantern for light in lights_towards(scene.sight(scene.cameras[0], np.array([0])), np.array([5.0]))]
-
-
-def test_sectors_begin_at_the_lights_so_that_a_broad_ship_shows_both_sides_to_what_is_right_ahead(tmp_path):
-    shown = [{each.name for each in ship_before_the_camera(tmp_path, 180.0, (250, aside))} for aside in (0, 40, -40)]
-    assert shown[0] == {"masthead", "port side", "starboard side"}  # at half the beam from either sidelight
-    assert shown[1:] == [{"masthead", "port side"}, {"masthead", "starboard side"}]
-    # Abeam of the middle of a long ship one is abaft the beam of her forward masthead light, which is far ahead.
-    (after,) = [each for each in ship_before_the_camera(tmp_path, 90.0, (60, 0)) if each.name == "masthead"]
-    assert after.place[0] < 0
 
 
 def scene_with(folder, wall_at_m, heading_deg=90.0, steps=12):
@@ -217,8 +205,14 @@ def test_lights_are_drawn_where_they_are_in_their_colours(tmp_path, heading_deg,
     assert 0 < hazy.sum() < 0.6 * rgb.sum() and 0.3 < hazy.max() < 0.8 * rgb.max()
 
 
-def test_a_yacht_right_ahead_shows_red_and_green_side_by_side_and_no_yellow_and_the_sea_mirrors_them(tmp_path):
-    """COLREG, Rule 25 b; a yellow light is that of a tow (Rule 24)."""
+def test_a_ship_right_ahead_shows_both_sides_and_a_yacht_side_by_side_mirrored_in_the_sea(tmp_path):
+    shown = [{each.name for each in ship_before_the_camera(tmp_path, 180.0, (250, aside))} for aside in (0, 40, -40)]
+    assert shown[0] == {"masthead", "port side", "starboard side"}  # at half the beam from either sidelight
+    assert shown[1:] == [{"masthead", "port side"}, {"masthead", "starboard side"}]
+    # Abeam of the middle of a long ship one is abaft the beam of her forward masthead light, which is far ahead.
+    (after,) = [each for each in ship_before_the_camera(tmp_path, 90.0, (60, 0)) if each.name == "masthead"]
+    assert after.place[0] < 0
+    # COLREG, Rule 25 b; a yellow light is that of a tow (Rule 24).
     scene = load_scene(write_scene(tmp_path, {"yacht": ([11, 3.5, 16], [[0, 280, 0], [10, 250, 0]])}, 3))
     solids, rgb = Solids.at(scene, scene.cameras[0], 0), np.zeros((600, 800, 3), np.float32)
     draw_lights(rgb, solids, Window.whole((800, 600), 800), np.full(len(scene.vessels), 3.0), 0.0)

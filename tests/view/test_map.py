@@ -22,16 +22,7 @@ from modsim3d.geometry.camera_poses import Mount
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.renderer import MapFilmRenderer
-from modsim3d.view.map_marks import (
-    RINGS,
-    Bearing,
-    BirdsEye,
-    _approach,
-    footprint,
-    hull_m,
-    ring_step,
-    view_of,
-)
+from modsim3d.view.map_marks import RINGS, Bearing, BirdsEye, _approach, footprint, hull_m, ring_step, view_of
 from modsim3d.view.map_picture import Map, map_figure, map_height_px, map_picture
 from modsim3d.view.pictures.layers import PLAN, MapLayers
 from modsim3d.view.pictures.plain import Solids
@@ -55,7 +46,6 @@ def birds_eye(scene):
 
 
 def extent(artist):
-    """The rectangle of an artist in pixels."""
     return shapely.box(*artist.get_window_extent().extents)
 
 
@@ -211,19 +201,6 @@ def picture(monkeypatch, run, out, *arguments):
     return np.asarray(read(out)).astype(int)
 
 
-def test_the_scene_is_shaded_unless_plain_is_asked_for_and_boxes_are_on_it_when_asked(monkeypatch, run, tmp_path):
-    asked = {"scene": ("--kind", "scene"), "boxes": ()}
-    asked |= {f"{look} scene": ("--kind", "scene", "--look", look) for look in ("shaded", "plain")}
-    asked |= {look: ("--look", look) for look in ("plain", "shaded", "night")}
-    kinds = {name: picture(monkeypatch, run, tmp_path / f"{name}.png", *options) for name, options in asked.items()}
-    np.testing.assert_array_equal(kinds["scene"], kinds["shaded scene"])
-    np.testing.assert_array_equal(kinds["boxes"], kinds["plain"])
-    corner = (40, 390)  # below the line at the top, in the sky
-    assert tuple(kinds["plain scene"][corner]) == tuple(kinds["boxes"][corner]) == palette.SKY
-    np.testing.assert_array_equal(kinds["scene"][corner], kinds["shaded"][corner])
-    assert tuple(kinds["scene"][corner]) != palette.SKY and kinds["night"][corner].sum() < 150
-
-
 def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setattr("modsim3d.render.context._open_here", None)  # another test's context must not serve here
     monkeypatch.setattr("modsim3d.render.context.library_found", lambda backend: False)
@@ -301,7 +278,17 @@ def test_layers_are_drawn_on_request_rings_count_in_their_unit_and_a_scene_on_th
         )
 
 
-def test_a_film_of_maps_has_one_for_all_cameras_and_a_plan_has_the_picture_beside_it(monkeypatch, run, tmp_path):
+def test_scenes_are_shaded_unless_plain_is_asked_for_maps_are_one_and_plans_have_both(monkeypatch, run, tmp_path):
+    asked = {"scene": ("--kind", "scene"), "boxes": ()}
+    asked |= {f"{look} scene": ("--kind", "scene", "--look", look) for look in ("shaded", "plain")}
+    asked |= {look: ("--look", look) for look in ("plain", "shaded", "night")}
+    kinds = {name: picture(monkeypatch, run, tmp_path / f"{name}.png", *options) for name, options in asked.items()}
+    np.testing.assert_array_equal(kinds["scene"], kinds["shaded scene"])
+    np.testing.assert_array_equal(kinds["boxes"], kinds["plain"])
+    corner = (40, 390)  # below the line at the top, in the sky
+    assert tuple(kinds["plain scene"][corner]) == tuple(kinds["boxes"][corner]) == palette.SKY
+    np.testing.assert_array_equal(kinds["scene"][corner], kinds["shaded"][corner])
+    assert tuple(kinds["scene"][corner]) != palette.SKY and kinds["night"][corner].sum() < 150
     options = ("--kind", "map", "--end", 1, "--format", "png", "--width", 320, "--out", tmp_path / "frames")
     assert view(monkeypatch, "film", run, *options) == 0
     one, other = (np.asarray(read(path)) for path in sorted((tmp_path / "frames").iterdir()))

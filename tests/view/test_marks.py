@@ -170,20 +170,6 @@ def labels(monkeypatch) -> list[Label]:
     return collected
 
 
-def test_the_label_of_a_wrong_class_says_what_the_vessel_is_and_that_of_a_false_alarm_that_it_is_one(seen, labels):
-    layers = replace(MARKED, labels=True, false_positives=True)
-    drawn(with_detection(seen, 0, "Buoy"), layers)
-    drawn(with_detection(seen, 200), layers)
-    frame = with_detection(seen, 0).frame
-    kinds = {"false_positive": "false", "persistent_false_positive": "false", "duplicate": "duplicate"}
-    for kind in kinds:
-        drawn(replace(seen, frame=replace(frame, detections=replace(frame.detections, kinds=(kind,)))), layers)
-    said = [(label.text, label.colour) for label in labels]
-    assert said[:2] == [("Buoy 0.70, is a Vessel", palette.ALARM), ("Vessel 0.70", seen.colour("sail"))]
-    assert said[2:] == [(f"{remark}: Vessel 0.70", palette.ALARM) for remark in kinds.values()]
-    assert [is_a(label) for label in ("ferry", "oil tanker", "")] == ["is a ferry", "is an oil tanker", "is a "]
-
-
 @pytest.fixture(scope="module")
 def run(mistaken_folder) -> StoredRun:
     return open_run(mistaken_folder)
@@ -210,13 +196,6 @@ def test_highlights_have_each_kind_of_mistake_and_the_fate_in_a_merged_box_is_sa
     frame = next(frame for frame in run.frames() if "merged" in frame.detections.kinds)
     annotated = np.array(frame.truth.vessels)[frame.truth.annotated].tolist()
     assert "detected, in one box with another" in [fate(frame, vessel) for vessel in annotated]
-
-
-def test_a_vessel_that_is_hidden_in_part_has_its_share_after_a_comma(seen, labels):
-    share = np.full(len(seen.frame.truth), 0.77)
-    truth = replace(seen.frame.truth, visible_fraction=share, detected=share > 0)
-    drawn(replace(seen, frame=replace(seen.frame, truth=truth)), Layers(fractions=True))
-    assert {label.text for label in labels} == {f"{name}, 77 % seen" for name in truth.vessels}
 
 
 def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_that(run, labels, monkeypatch):
@@ -259,7 +238,24 @@ def test_captions_are_cut_arrows_cover_no_boat_and_the_legend_names_the_mistakes
     assert close_up._arrow((300.0, 10.0, 340.0, 30.0), [], size, 56) == ((320.0, 38.0), (0, -1))
 
 
-def test_a_label_stays_at_its_vessel_whatever_the_error_of_the_box(seen, labels):
+def test_labels_say_true_classes_false_alarms_and_hidden_shares_and_stay_at_their_vessel(seen, labels):
+    layers = replace(MARKED, labels=True, false_positives=True)
+    drawn(with_detection(seen, 0, "Buoy"), layers)
+    drawn(with_detection(seen, 200), layers)
+    frame = with_detection(seen, 0).frame
+    kinds = {"false_positive": "false", "persistent_false_positive": "false", "duplicate": "duplicate"}
+    for kind in kinds:
+        drawn(replace(seen, frame=replace(frame, detections=replace(frame.detections, kinds=(kind,)))), layers)
+    said = [(label.text, label.colour) for label in labels]
+    assert said[:2] == [("Buoy 0.70, is a Vessel", palette.ALARM), ("Vessel 0.70", seen.colour("sail"))]
+    assert said[2:] == [(f"{remark}: Vessel 0.70", palette.ALARM) for remark in kinds.values()]
+    assert [is_a(label) for label in ("ferry", "oil tanker", "")] == ["is a ferry", "is an oil tanker", "is a "]
+    labels.clear()
+    share = np.full(len(seen.frame.truth), 0.77)
+    truth = replace(seen.frame.truth, visible_fraction=share, detected=share > 0)
+    drawn(replace(seen, frame=replace(seen.frame, truth=truth)), Layers(fractions=True))
+    assert {label.text for label in labels} == {f"{name}, 77 % seen" for name in truth.vessels}
+    labels.clear()
     for away_px in (0.0, 25.0, 80.0):
         drawn(with_detection(seen, away_px), DETECTIONS)
     truth = seen.frame.truth

@@ -24,7 +24,7 @@ from tests.cli.bad_input.builders import answer, refusal
 from tests.command_line import call
 from tests.run_folders import interrupt
 from tests.scenes import crossing
-from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
+from tests.view.conftest import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
 
 STEPS, EVERY = 14, 2
 SOME = 20  # every so many steps of a longer run are recorded
@@ -79,13 +79,11 @@ def recording(written):
 
 @pytest.fixture(scope="module")
 def mistaken(mistaken_folder, tmp_path_factory):
-    """A run with every kind of mistake, and its recording."""
     out = export_rerun(mistaken_folder, tmp_path_factory.mktemp("mistaken"), every=SOME)
     return open_run(mistaken_folder), read(out.path)
 
 
 def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, object]:
-    """What an entity shows at a step: what was logged last."""
     return entity[max(at for at in entity if at is not None and at <= step)]
 
 
@@ -243,21 +241,8 @@ def tracks(rows, followed, tmp_path_factory):
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def test_a_track_and_its_trail_have_the_colour_of_its_vessel_a_false_one_the_alarms(
-    call, exact_run, followed, tracks, tmp_path
-):
-    options = (
-        "--width",
-        WIDTH,
-        "--crop",
-        "none",
-        "--layers",
-        "tracks",
-        "--tracks",
-        tracks,
-        "--out",
-        tmp_path / "a.png",
-    )
+def test_tracks_and_trails_have_the_colour_of_the_vessel_or_alarm(call, exact_run, followed, tracks, tmp_path):
+    options = (*f"--width {WIDTH} --crop none --layers tracks --tracks".split(), tracks, "--out", tmp_path / "a.png")
     said = answer(call, ("view", "frame", exact_run, STEP, *options))
     assert followed.sentence() in " ".join(said.split())
     with Image.open(tmp_path / "a.png") as written:  # under the head line, with two pixels for one of the image
@@ -276,7 +261,7 @@ def test_a_track_and_its_trail_have_the_colour_of_its_vessel_a_false_one_the_ala
         assert (np.abs(around - palette.vessel_colour(2)).max(axis=-1) < 40).any()
 
 
-def test_pictures_without_the_layer_have_no_tracks_and_films_with_it_the_same_bytes(call, exact_run, tracks, tmp_path):
+def test_tracks_not_drawn_are_refused_or_change_nothing_and_films_are_the_same_bytes(call, exact_run, tracks, tmp_path):
     for name, options in {"a": (), "b": ("--tracks", tracks)}.items():
         layers = ("--layers", "horizon,truth,detections,labels", "--width", 640)
         arguments = (STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
@@ -287,9 +272,6 @@ def test_pictures_without_the_layer_have_no_tracks_and_films_with_it_the_same_by
         out = ("--workers", workers, "--out", tmp_path / f"{workers}.gif")
         answer(call, ("view", "film", exact_run, *options, *out))
     assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
-
-
-def test_tracks_not_drawn_or_of_an_interrupted_run_are_refused(call, exact_run, tmp_path, tracks):
     for line in (("film", exact_run), ("frame", exact_run, 3)):
         line = ("view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite")
         refusal(call, line, "--tracks works with --kind detections, all, plan and map")
@@ -323,24 +305,7 @@ def follow(rows, tracks, *similarity):
     return FollowedTracks.of(as_set(tracks), rows, Similarity(*similarity))
 
 
-def test_two_tracks_that_swap_switch_and_move_a_new_number_switches_and_a_track_alone_that_goes_on_moves(rows):
-    tracks = perfect(rows)
-    shown = follow(rows, swapped(tracks, BOAT, SAIL, 6))
-    for marked in (shown.switched, shown.moved):
-        first = [shown.tracks.step[(shown.tracks.step >= 6) & (shown.vessel == vessel)].min() for vessel in (0, 1)]
-        places = sorted(zip(shown.vessel[marked].tolist(), shown.tracks.step[marked].tolist(), strict=True))
-        assert places == [(BOAT, first[0]), (SAIL, first[1])]
-    assert "2 identity switches" in shown.sentence()
-    number = np.where((tracks.track == SAIL) & (tracks.step >= 5), 7, tracks.track)
-    shown = follow(rows, Tracks.of(1, tracks.frame, number, tracks.boxes_px))
-    assert shown.tracks.track[shown.switched].tolist() == [7] and not shown.moved.any()
-    assert "4 tracks on 3 vessels, 1 identity switch, 0" in shown.sentence()
-    some = tracks.take(((tracks.track == SAIL) & (tracks.step < 2)) | ((tracks.track == 2) & (tracks.step >= 4)))
-    shown = follow(rows, Tracks.of(1, some.frame, np.full(len(some), 5), some.boxes_px))
-    assert shown.moved.sum() == 1 and not shown.switched.any()
-
-
-def test_tracks_of_the_truth_follow_it_also_on_hidden_vessels_and_one_beside_by_distance_only(rows):
+def test_tracks_of_the_truth_have_no_switch_and_those_that_swap_or_end_switch_or_move(rows):
     shown = follow(rows, perfect(rows))
     np.testing.assert_array_equal(shown.vessel, shown.tracks.track)
     assert not (shown.switched | shown.moved | shown.unscored | shown.false).any()
@@ -366,3 +331,17 @@ def test_tracks_of_the_truth_follow_it_also_on_hidden_vessels_and_one_beside_by_
     kept = shown.tracks.take(shown.unscored)
     assert set(zip(kept.frame.tolist(), kept.track.tolist(), strict=True)) == on
     np.testing.assert_array_equal(shown.vessel[shown.unscored], kept.track)
+    tracks = perfect(rows)
+    shown = follow(rows, swapped(tracks, BOAT, SAIL, 6))
+    for marked in (shown.switched, shown.moved):
+        first = [shown.tracks.step[(shown.tracks.step >= 6) & (shown.vessel == vessel)].min() for vessel in (0, 1)]
+        places = sorted(zip(shown.vessel[marked].tolist(), shown.tracks.step[marked].tolist(), strict=True))
+        assert places == [(BOAT, first[0]), (SAIL, first[1])]
+    assert "2 identity switches" in shown.sentence()
+    number = np.where((tracks.track == SAIL) & (tracks.step >= 5), 7, tracks.track)
+    shown = follow(rows, Tracks.of(1, tracks.frame, number, tracks.boxes_px))
+    assert shown.tracks.track[shown.switched].tolist() == [7] and not shown.moved.any()
+    assert "4 tracks on 3 vessels, 1 identity switch, 0" in shown.sentence()
+    some = tracks.take(((tracks.track == SAIL) & (tracks.step < 2)) | ((tracks.track == 2) & (tracks.step >= 4)))
+    shown = follow(rows, Tracks.of(1, some.frame, np.full(len(some), 5), some.boxes_px))
+    assert shown.moved.sum() == 1 and not shown.switched.any()

@@ -97,45 +97,6 @@ def test_outline_equals_the_id_buffer(renderer, shaded, tmp_path, monkeypatch, n
 MATRIX = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
 
 
-def test_depth_is_that_of_the_face_which_reflects_by_lamberts_law(shaded):
-    corners, found = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]]), []
-    for normal in ((0, 0, -1), (0.6, 0, -0.8), (1, 0, 0)):
-        faces = LitFaces(corners, np.array([normal], dtype=float), np.full((1, 3), 0.5))
-        lamp = Lamp((0.0, 0.0, -1.0), (1, 1, 1), 2.0)
-        lit = shaded.draw(faces, MATRIX, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1))
-        assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
-        assert lit.drawn[48, 50] and not lit.drawn[10, 10]
-        found.append(int(lit.colour[48, 50, 0]))
-    assert found[0] > found[1] > found[2] > 0
-    normals = np.array([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8], [0.0, 0.0, 1.0]])
-    faces = LitFaces(np.zeros((3, 3, 3)), normals, np.array([[1.0, 1.0, 1.0], [1.0, 0.5, 0.0], [1.0, 1.0, 1.0]]))
-    lamp, ambient = Lamp((0.0, 0.0, -2.0), (1.0, 0.5, 0.25), 0.9 * np.pi), (0.05, 0.05, 0.05)
-    light = lit_colours(faces, [lamp], ambient) ** 2.2
-    np.testing.assert_allclose(light[0], (0.95, 0.5, 0.275))
-    np.testing.assert_allclose(light[1], (0.77, 0.5**2.2 * 0.41, 0.0))
-    np.testing.assert_allclose(light[2], 0.05)  # turned away: the light from everywhere is left
-
-
-def test_sky_is_above_the_sea_and_a_painter_used_before_draws_the_same(shaded, solids, scene, tmp_path):
-    picture = painted(shaded, solids)
-    nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
-    assert picture.shape == painted(shaded, nobody).shape == (480, 640, 3)
-    a, b, c = solids.sea_half_plane
-    horizon = round(-(a * 400 + c) / b * 0.8)
-    assert picture[horizon - 30, 5].sum() > picture[horizon + 30, 5].sum() + 100
-    high, deep = picture[3, 320], picture[-3, 320]
-    assert np.abs(high - 255 * np.array(palette_of(DAYLIGHT).zenith)).max() < 90
-    assert deep.sum() < 0.6 * high.sum() and deep[2] > deep[0]
-    # Only the rows that were drawn on are restored.
-    pictures, used = [], ShadedPictureRenderer(shaded, DAYLIGHT)
-    moved = scene_with(tmp_path, {"pose": {"position_m": [0, 0, 20], "pitch_rad": 0.1}})
-    for of, step in ((scene, 3), (scene, 5), (scene, 0), (scene, 3), (moved, 3), (moved, 3)):
-        solids, window = Solids.at(of, of.cameras[0], step), Window.whole((800, 600), 320)
-        pictures.append(np.asarray(used.picture(solids, window)))
-        np.testing.assert_array_equal(pictures[-1], painted(shaded, solids, 320))
-    assert (pictures[-3] != pictures[-2]).any()
-
-
 def test_calm_seas_are_drawn_and_programs_compiled_once(shaded, monkeypatch, scene):
     """Two cameras with the same optics, the first of them on board."""
     from OpenGL import contextdata
@@ -194,7 +155,24 @@ def test_each_vessel_shows_where_its_id_is_in_its_hue_and_the_id_pass_goes_on(re
         np.testing.assert_array_equal(solids.ids(window, renderer), before)
 
 
-def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shaded, tmp_path):
+def test_sky_is_above_the_sea_through_a_lens_too_and_a_used_painter_draws_the_same(shaded, solids, scene, tmp_path):
+    picture = painted(shaded, solids)
+    nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
+    assert picture.shape == painted(shaded, nobody).shape == (480, 640, 3)
+    a, b, c = solids.sea_half_plane
+    horizon = round(-(a * 400 + c) / b * 0.8)
+    assert picture[horizon - 30, 5].sum() > picture[horizon + 30, 5].sum() + 100
+    high, deep = picture[3, 320], picture[-3, 320]
+    assert np.abs(high - 255 * np.array(palette_of(DAYLIGHT).zenith)).max() < 90
+    assert deep.sum() < 0.6 * high.sum() and deep[2] > deep[0]
+    # Only the rows that were drawn on are restored.
+    pictures, used = [], ShadedPictureRenderer(shaded, DAYLIGHT)
+    moved = scene_with(tmp_path, {"pose": {"position_m": [0, 0, 20], "pitch_rad": 0.1}})
+    for of, step in ((scene, 3), (scene, 5), (scene, 0), (scene, 3), (moved, 3), (moved, 3)):
+        solids, window = Solids.at(of, of.cameras[0], step), Window.whole((800, 600), 320)
+        pictures.append(np.asarray(used.picture(solids, window)))
+        np.testing.assert_array_equal(pictures[-1], painted(shaded, solids, 320))
+    assert (pictures[-3] != pictures[-2]).any()
     scene = scene_with(tmp_path, {**CAMERAS["lens"], "pose": {"position_m": [0, 0, 20], "pitch_rad": -0.1}})
     solids = Solids.at(scene, scene.cameras[0], 0)
     rays = Rays.of(solids.intrinsics, Window.whole((800, 600), 800)).camera
@@ -203,8 +181,24 @@ def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shade
     np.testing.assert_allclose(rays[[30, 300, 580], [20, 400, 780]], exact, atol=2e-5)
 
 
-def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility_which_is_a_positive_distance():
-    """Koschmieder (1924); WMO takes 0.05 for the optical range, 0.02 gives 3.912 / V."""
+def test_fog_leaves_two_percent_of_contrast_and_a_face_reflects_by_lamberts_law(shaded):
+    corners, found = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]]), []
+    for normal in ((0, 0, -1), (0.6, 0, -0.8), (1, 0, 0)):
+        faces = LitFaces(corners, np.array([normal], dtype=float), np.full((1, 3), 0.5))
+        lamp = Lamp((0.0, 0.0, -1.0), (1, 1, 1), 2.0)
+        lit = shaded.draw(faces, MATRIX, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1))
+        assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
+        assert lit.drawn[48, 50] and not lit.drawn[10, 10]
+        found.append(int(lit.colour[48, 50, 0]))
+    assert found[0] > found[1] > found[2] > 0
+    normals = np.array([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8], [0.0, 0.0, 1.0]])
+    faces = LitFaces(np.zeros((3, 3, 3)), normals, np.array([[1.0, 1.0, 1.0], [1.0, 0.5, 0.0], [1.0, 1.0, 1.0]]))
+    lamp, ambient = Lamp((0.0, 0.0, -2.0), (1.0, 0.5, 0.25), 0.9 * np.pi), (0.05, 0.05, 0.05)
+    light = lit_colours(faces, [lamp], ambient) ** 2.2
+    np.testing.assert_allclose(light[0], (0.95, 0.5, 0.275))
+    np.testing.assert_allclose(light[1], (0.77, 0.5**2.2 * 0.41, 0.0))
+    np.testing.assert_allclose(light[2], 0.05)  # turned away: the light from everywhere is left
+    # Koschmieder (1924); WMO takes 0.05 for the optical range, 0.02 gives 3.912 / V.
     style = RenderStyle(shaded=True, visibility_m=800.0)
     assert style.extinction_per_m == pytest.approx(3.912 / 800, rel=1e-4)
     air, at_visibility = (fogged(np.zeros((1, 3)), np.array([away_m]), style) for away_m in (1e9, 800.0))

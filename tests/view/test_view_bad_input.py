@@ -93,22 +93,19 @@ def broken_encoder(monkeypatch, folder, script):
     encoder.write_text(f"#!/bin/sh\n{script}\n")
     encoder.chmod(0o755)
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(encoder))
-    out.mkdir()
+    out.mkdir(exist_ok=True)
     return out
 
 
-def test_an_encoder_that_fails_leaves_nothing(monkeypatch, call, run, tmp_path):
+def test_an_encoder_that_fails_or_loses_pictures_leaves_nothing(monkeypatch, call, run, tmp_path):
+    encoder = imageio_ffmpeg.get_ffmpeg_exe()  # before another is set
     out = broken_encoder(monkeypatch, tmp_path, "echo 'no such encoder' >&2\nexit 1")
     # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
     with warnings.catch_warnings(action="ignore", category=ResourceWarning):
         said = refused(call, "film", run, "--kind", "scene", "--out", out / "film.mp4")
         gc.collect()
     assert "film.mp4 could not be encoded: no such encoder\n" in said and not list(out.iterdir())
-
-
-def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatch, call, run, tmp_path):
-    """An encoder that takes every picture, encodes those of the first second, and says that all is well."""
-    encoder = imageio_ffmpeg.get_ffmpeg_exe()
+    # An encoder that takes every picture, encodes those of the first second, and says that all is well.
     script = f'[ "$1" = -y ] && {{ {encoder} -t 1 "$@"; exec cat >/dev/null; }}\nexec {encoder} "$@"'
     out = broken_encoder(monkeypatch, tmp_path, script)
     said = refused(call, "film", run, "--kind", "scene", "--width", 160, "--out", out / "film.mp4")
@@ -212,7 +209,10 @@ def test_a_stopped_film_leaves_nothing(stalled, tmp_path, name, number):
     assert entries(tmp_path) == [] and all_end(tmp_path)
 
 
-def test_what_is_coming_is_said_before_it_is_drawn_and_a_stopped_film_replaces_nothing(stalled, tmp_path):
+def test_a_failing_film_leaves_nothing_and_a_stopped_one_replaces_nothing_and_said_what_comes(stalled, tmp_path):
+    drawing = stalled(tmp_path / "film.mp4", then="raise ZeroDivisionError")
+    drawing.communicate(timeout=60)
+    assert drawing.returncode != 0 and entries(tmp_path) == [] and all_end(tmp_path)
     (tmp_path / "film.mp4").write_bytes(b"the film before")
     drawing = stalled(tmp_path / "film.mp4", "--overwrite", frame=1)
     assert drawing.stderr is not None
@@ -220,12 +220,6 @@ def test_what_is_coming_is_said_before_it_is_drawn_and_a_stopped_film_replaces_n
     drawing.send_signal(signal.SIGTERM)
     drawing.communicate(timeout=60)
     assert entries(tmp_path) == ["film.mp4"] and (tmp_path / "film.mp4").read_bytes() == b"the film before"
-
-
-def test_a_film_that_fails_in_the_middle_leaves_nothing(stalled, tmp_path):
-    drawing = stalled(tmp_path / "film.mp4", then="raise ZeroDivisionError")
-    drawing.communicate(timeout=60)
-    assert drawing.returncode != 0 and entries(tmp_path) == [] and all_end(tmp_path)
 
 
 @pytest.mark.parametrize("number", STOPS)

@@ -124,7 +124,6 @@ class Browser:
         return answer["result"].get("value")
 
     def text(self, selector: str) -> str:
-        """The text of an element."""
         return str(self.run(f"document.querySelector({json.dumps(selector)}).textContent"))
 
     def pixels(self, canvas: str = "picture") -> NDArray[np.uint8]:
@@ -148,7 +147,6 @@ class Browser:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0, **more)
 
     def after(self, key: str, script: str) -> Any:
-        """The value of a script after a key."""
         self.press(key)
         return self.run(script)
 
@@ -198,7 +196,6 @@ class Browser:
 
 @contextmanager
 def open_browser() -> Iterator[Browser]:
-    """A browser of its own, ended afterwards."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         low_in, our_out = os.pipe()
         our_in, low_out = os.pipe()

@@ -9,7 +9,7 @@ from modsim3d import RunRows, detect_run, load_scene, open_run, run_scene
 from modsim3d.tracks.tracks import Similarity
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
-from tests.view.made_tracks import as_set, perfect, swapped, with_false
+from tests.view.conftest import as_set, perfect, swapped, with_false
 from tests.view.report.browser import Browser, open_browser
 
 STEPS = 260

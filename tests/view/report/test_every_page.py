@@ -16,7 +16,7 @@ from modsim3d.learn.report_page import Sources
 from modsim3d.view.pages.provenance import CHANGED, Provenance, file_input, run_inputs, top_line
 from tests.campaign.campaigns import run_campaign_file
 from tests.command_line import call
-from tests.view.made_tracks import perfect, write_csv
+from tests.view.conftest import perfect, write_csv
 from tests.view.report.browser import grave_violations
 from tests.view.report.test_layout import DESK, PHONE, pale_texts
 

@@ -138,7 +138,7 @@ def test_keyboard_alone_is_enough_and_the_scheme_is_the_systems_or_the_buttons(b
     assert browser.run(colour) == light and np.array_equal(browser.pixels("timeline"), timeline)
 
 
-def test_names_are_text_whatever_they_hold(browser, tmp_path):
+def test_names_are_text_and_a_slow_camera_shows_the_last_frame_that_it_took(browser, tmp_path):
     boats = {
         "<script>window.hacked = 1</script>": ([10.0, 4.0, 3.0], [[0, 150, 10], [100, 150, 12]]),
         "</script><img src=x onerror='window.hacked = 2'>": ([30.0, 8.0, 9.0], [[0, 100, 30], [12, 100, -30]]),
@@ -152,13 +152,10 @@ def test_names_are_text_whatever_they_hold(browser, tmp_path):
     assert browser.run("[window.hacked, document.images.length]") == [None, 0]
     assert all(name in browser.text("#vessels") for name in boats)
     assert "{{columns}} & ${name}" in browser.text("section:nth-of-type(3)")
-
-
-def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tmp_path):
     usual = camera_keys(pose={"position_m": [0, 0, 10]})
     cameras = {"C0": usual, "slow": {**usual, "frame_rate_hz": 0.25, "start_offset_s": 2}}
-    run_scene(load_scene(crossing(tmp_path, 12, cameras=cameras), source="analytic"), tmp_path / "run")
-    browser.open(write_report(open_run(tmp_path / "run")))
+    run_scene(load_scene(crossing(tmp_path, 12, cameras=cameras), source="analytic"), tmp_path / "slow")
+    browser.open(write_report(open_run(tmp_path / "slow")))
     browser.run("player.look(1)")
     said = []
     for step in (1, 2, 5, 6):

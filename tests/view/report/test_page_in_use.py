@@ -262,7 +262,6 @@ SEPARATE = """(() => { // a detection that no other box touches, as [step, vesse
 
 
 def separate(browser, wrong):
-    """The first of them; its frame is shown."""
     found = browser.run(SEPARATE.replace("WRONG", str(wrong).lower()))
     browser.run(f"player.go({found[0]})")
     return found

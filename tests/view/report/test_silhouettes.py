@@ -88,22 +88,6 @@ def drawn_shapes(*drawn: tuple[int, list[list[tuple[int, int]]]]) -> Shapes:
     return Shapes(np.arange(len(drawn)), owners, lines_of, corners_of, corners)
 
 
-def test_an_outline_that_stays_is_stored_once():
-    square, moved = [(0, 0), (4, 0), (4, 4), (0, 4)], [(1, 0), (5, 0), (5, 4), (1, 4)]
-    split = [square[:3], [(9, 9), (8, 8), (7, 9)]]
-    order = (0, [square]), (1, [square]), (0, [square]), (0, [moved]), (1, [square]), (1, split), (1, split)
-    some = drawn_shapes(*order)
-    number, new = outline_numbers(some, np.zeros(7, dtype=np.int64))
-    assert number.tolist() == [0, 1, 0, 2, 1, 3, 3]
-    assert new.tolist() == [True, True, False, True, False, True, False]
-    other_camera = np.array([0, 0, 1, 1, 1, 1, 1])
-    assert outline_numbers(some, other_camera)[1].tolist() == [True, True, True, True, True, True, False]
-    store = OutlineStore()
-    assert store.numbers(some).tolist() == [0, 0, 0, 1, 0, 2, 2]
-    assert store.numbers(drawn_shapes((5, [moved]), (5, [moved, square]))).tolist() == [1, 3]
-    assert len(store.shapes()) == 4
-
-
 def test_nearer_shapes_come_later_truth_decides_where_solids_meet_and_frames_stay_apart():
     near, far = (vessel("near"), (60.0, 0.0), 0.3), (vessel("far", 40.0), (120.0, 5.0), 0.3)
     drawn = shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE)
@@ -212,7 +196,7 @@ def test_edges_wind_around_what_the_faces_cover_and_around_nothing_else(strait, 
     assert len(cuts) > 10 and any(cuts)
 
 
-def test_triangles_that_share_an_edge_have_one_line_and_ways_to_and_fro_are_left_out():
+def test_shared_edges_have_one_line_ways_to_and_fro_none_and_what_stays_is_stored_once():
     triangles = np.array([[(0, 0), (4, 0), (4, 4)], [(0, 0), (4, 4), (0, 4)]])
     found, none = (contours(np.zeros(3 * n, dtype=np.int64), edges_of(triangles[:n])) for n in (2, 0))
     assert found.count.tolist() == [4]
@@ -225,6 +209,19 @@ def test_triangles_that_share_an_edge_have_one_line_and_ways_to_and_fro_are_left
     assert edges == {((0, 0), (4, 3)), ((4, 3), (0, 9)), ((0, 9), (0, 0))}
     _, ends = tidy_at_border(np.array([0, 0]), np.array([[(5, 20), (9, 20)], [(9, 20), (5, 20)]]), (20, 20))
     assert len(ends) == 0
+    square, moved = [(0, 0), (4, 0), (4, 4), (0, 4)], [(1, 0), (5, 0), (5, 4), (1, 4)]
+    split = [square[:3], [(9, 9), (8, 8), (7, 9)]]
+    order = (0, [square]), (1, [square]), (0, [square]), (0, [moved]), (1, [square]), (1, split), (1, split)
+    some = drawn_shapes(*order)
+    number, new = outline_numbers(some, np.zeros(7, dtype=np.int64))
+    assert number.tolist() == [0, 1, 0, 2, 1, 3, 3]
+    assert new.tolist() == [True, True, False, True, False, True, False]
+    other_camera = np.array([0, 0, 1, 1, 1, 1, 1])
+    assert outline_numbers(some, other_camera)[1].tolist() == [True, True, True, True, True, True, False]
+    store = OutlineStore()
+    assert store.numbers(some).tolist() == [0, 0, 0, 1, 0, 2, 2]
+    assert store.numbers(drawn_shapes((5, [moved]), (5, [moved, square]))).tolist() == [1, 3]
+    assert len(store.shapes()) == 4
 
 
 def test_poses_of_a_part_are_those_of_each_camera_on_its_own(strait):

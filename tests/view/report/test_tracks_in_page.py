@@ -1,11 +1,22 @@
-"""The page of a run with tracks: a lane each, in the vessel's colour, with marks of switches."""
+"""The page of a run with tracks, a lane each, or of a labelled video: the user's pictures below the boxes, no map."""
 
+import gc
+from contextlib import nullcontext
+from pathlib import Path
+
+import imageio.v3 as iio
 import numpy as np
+import pytest
+from PIL import Image
 
+import modsim3d
+from modsim3d.core.errors import ModsimError
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view import palette
+from modsim3d.view.report.images import film_frames, image_facts
 from modsim3d.view.report.report import write_report
-from tests.view.made_tracks import FALSE_TRACK, write_csv
+from tests.formats.labelled_video.videos import coco, mot, write
+from tests.view.conftest import FALSE_TRACK, write_csv
 from tests.view.report.conftest import FALSE, SWAP
 from tests.view.report.unpacking import read
 
@@ -58,9 +69,7 @@ def test_each_track_has_a_lane_in_its_vessels_colour_with_marks_and_boxes(browse
     assert top <= (count - 1) * 13 < top + high
 
 
-def test_every_kth_step_keeps_marks_and_without_tracks_is_no_lane(
-    run_folder, followed, tmp_path, pair, page, tracks_page
-):
+def test_every_kth_step_keeps_marks_and_no_tracks_no_lanes(run_folder, followed, tmp_path, pair, page, tracks_page):
     every = 7
     columns = read(write_report(open_run(run_folder), tmp_path / "page.html", every=every, followed=followed)).columns
     frames, marked = np.diff(columns["trackStart"]), columns["trackFlags"] & 2 > 0
@@ -88,3 +97,95 @@ def test_command_takes_tracks_with_a_similarity_which_needs_them(call, run_folde
     assert "1 - distance of centres / 150 px below 0.3" in browser.text("#legend")
     assert call("report", run_folder, "--tracks", file, "--out", file, "--overwrite")[0] == 2
     assert file.read_text(encoding="utf-8").startswith("camera,")
+
+
+FRAMES, SIZE = 45, (640, 480)
+
+
+def colour_of(frame: int) -> tuple[int, int, int]:
+    return 4 * frame, 200 - 4 * frame, 60
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """A picture of one colour for each frame."""
+    (tmp_path / "pictures").mkdir()
+    for frame in range(FRAMES):
+        Image.new("RGB", SIZE, colour_of(frame)).save(tmp_path / "pictures" / f"{frame + 1}.png")
+    return tmp_path / "pictures"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return modsim3d.detect_truth(mot(tmp_path / "bay"), tmp_path / "run", detector="thesis").folder
+
+
+def test_each_frame_is_shown_over_its_own_picture_and_there_is_no_map(tmp_path, run, pictures, browser) -> None:
+    page = write_report(modsim3d.open_run(run), tmp_path / "page.html", pictures=pictures)
+    browser.open(page)
+    for index in (0, 17, FRAMES - 1):
+        browser.run(f"player.go({index})")
+        browser.run("new Promise(done => setTimeout(done, 300))")
+        x, y = browser.place("#picture", 0.97, 0.97)
+        browser.screenshot(tmp_path / "seen.png")
+        seen = np.array(Image.open(tmp_path / "seen.png").convert("RGB"))[int(y), int(x)]
+        assert np.abs(seen.astype(int) - colour_of(index)).max() <= 3, index
+    assert browser.run("document.querySelector('#above').hidden")
+    browser.click("[data-do=save]")
+    browser.run("new Promise(done => setTimeout(done, 300))")
+    assert "does not let this page save your pictures" in browser.text("body")
+    assert "1 labelled video shows of 3 vessels" in browser.text("body")
+
+
+@pytest.mark.parametrize(("left", "right", "there", "wanted"), [  # two cameras' files, pictures, what is shown or said
+    (r"val\9.png val/8.PNG", "", "7.png 8.png 9.PNG", "9.PNG 8.png"),
+    ("a/1.png b/1.png", "d.png c.png", "a/1.png b/1.png 1.png d.png c.png", "a/1.png b/1.png d.png c.png"),
+    ("a/1.png b/1.png", "", "1.png 2.png", "of its own for 'b/1.png', which labels name .1 of 2.: the path below"),
+    ("7.png -", "", "7.png 8.png", "own for '101', an image whose file labels do not name .1 of 2."),
+    ("2.jpg", "2.png", "left/1.png left/2.png right/1.png right/2.png", "left/2.png right/2.png"),
+])  # fmt: skip
+def test_pictures_are_those_that_labels_name(tmp_path: Path, left: str, right: str, there: str, wanted: str) -> None:
+    labels = coco({"left": len(left.split()), "right": len(right.split())})
+    for image, name in zip(labels["images"], f"{left} {right}".split(), strict=True):
+        image["file_name"] = name.strip("-")
+    for name in there.split():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        Image.new("RGB", SIZE).save(tmp_path / name)
+    truth = write(tmp_path / "gt.json", labels)
+    run = modsim3d.detect_truth(truth, tmp_path / "run", truth_alone=True, frame_rate_hz=5)
+    with pytest.raises(ModsimError, match=wanted) if " for " in wanted else nullcontext():
+        facts = image_facts(modsim3d.open_run(run.folder), tmp_path, tmp_path / "page.html", 1)
+        assert [file for each in facts for file in each["files"]] == wanted.split()
+
+
+# Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipes to the garbage collector.
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, run: Path, pictures: Path) -> None:
+    film = np.stack([np.full((*SIZE[::-1], 3), colour_of(frame), dtype=np.uint8) for frame in range(FRAMES)])
+    iio.imwrite(tmp_path / "film.mp4", film, fps=10, macro_block_size=1)
+    opened = modsim3d.open_run(run)
+    folder = film_frames(tmp_path / "film.mp4", tmp_path / "decoded", opened)
+    assert len(list(folder.iterdir())) == FRAMES
+    iio.imwrite(tmp_path / "fast.mp4", np.repeat(film, 3, axis=0), fps=30, macro_block_size=1)
+    film_frames(tmp_path / "fast.mp4", folder, opened)
+    for frame in (0, 20, FRAMES - 1):  # by time, whatever the film's rate
+        seen = np.array(Image.open(folder / f"{frame + 1:06d}.jpg"))[240, 320].astype(int)
+        assert np.abs(seen - colour_of(frame)).max() <= 12, frame
+    (tmp_path / "empty").mkdir()
+    (pictures / "45.png").unlink()
+    Image.new("RGB", (64, 48)).save(folder / "000001.jpg")
+    for images, said in (
+        (pictures, "has 44 pictures, and camera 'bay' has 45 frames"),
+        (folder, "has 64 × 48 px, and 'bay' 640 × 480"),
+        (tmp_path / "empty", "has no pictures"),
+        (tmp_path / "nowhere", "is no folder of pictures"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            write_report(opened, tmp_path / "page.html", pictures=images)
+    with pytest.raises(ModsimError, match="cannot be read as a film"):
+        film_frames(run / "run.json", tmp_path / "other", opened)
+    iio.imwrite(tmp_path / "short.mp4", film[:9], fps=10, macro_block_size=1)
+    with pytest.raises(ModsimError, match=r"ends after 9 pictures at 10 a second, and the run after 4.4 s"):
+        film_frames(tmp_path / "short.mp4", folder, opened)
+    gc.collect()
+    assert len(list(folder.iterdir())) == FRAMES
