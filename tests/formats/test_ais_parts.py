@@ -37,7 +37,24 @@ USUAL += [("Fishing", 15, False, ("A", 30)), ("Fishing", 14.9, False, ("B", 30))
 USUAL += [("HighSpeed", 30, False, ("A", 40)), ("Cargo", 130, False, ("A", 70)), ("Tug", 12, False, ("A", 52))]
 
 
-def test_class_and_ids_follow_label_and_size_and_intervals_are_those_of_the_standard():
+@pytest.mark.parametrize("ais_class", ["A", "B"])
+@pytest.mark.parametrize("size", [(90, 15), (8.5, 2.8), (0.4, 0.2), (24, 7), (399, 61)])
+def test_the_sides_give_the_size_and_the_antenna_is_where_they_say(size, ais_class):
+    bow, stern, port, starboard = sides = sensors.antenna_sides(Vessel("x", "y", *size, 4), ais_class)
+    assert bow + stern == max(round(size[0]), 1)
+    assert port + starboard == max(round(size[1]), 1)
+    assert bow >= 1 <= port  # A = C = 0 would mean that only the size is known
+    ahead, to_port, _ = station(sides_m=sides).antenna_m
+    assert (ahead + bow, -ahead + stern) == ((bow + stern) / 2, (bow + stern) / 2)
+    assert (to_port + port, -to_port + starboard) == ((port + starboard) / 2, (port + starboard) / 2)
+
+
+INTERVALS = [(0, "A", True, 180), (2.9, "A", True, 180), (3.1, "A", True, 10), (0, "A", False, 10)]
+INTERVALS += [(13.9, "A", False, 10), (14.1, "A", False, 6), (22.9, "A", False, 6), (23.1, "A", False, 2)]
+INTERVALS += [(np.nan, "A", False, 10), (1.9, "B", False, 180), (2.1, "B", False, 30), (40, "B", False, 30)]
+
+
+def test_class_ids_and_intervals_are_those_of_the_standard_and_a_slower_ship_keeps_its_interval():
     for label, length_m, own, expected in USUAL:
         assert sensors.usual(Vessel("x", label, length_m, 3, 3), own) == expected, label
     names = ["219000001", "own", "982190001", "119000001", "21900000", "", "kutter æøå"]
@@ -66,26 +83,6 @@ def test_class_and_ids_follow_label_and_size_and_intervals_are_those_of_the_stan
     changing = reporting.changes_course(seen(160, heading_deg=heading))
     assert np.flatnonzero(changing).tolist() == list(range(60, 60 + 4 + 20 + 1 - 1))
     assert not reporting.changes_course(seen(160, heading_deg=heading * 0.8)).any()
-
-
-@pytest.mark.parametrize("ais_class", ["A", "B"])
-@pytest.mark.parametrize("size", [(90, 15), (8.5, 2.8), (0.4, 0.2), (24, 7), (399, 61)])
-def test_the_sides_give_the_size_and_the_antenna_is_where_they_say(size, ais_class):
-    bow, stern, port, starboard = sides = sensors.antenna_sides(Vessel("x", "y", *size, 4), ais_class)
-    assert bow + stern == max(round(size[0]), 1)
-    assert port + starboard == max(round(size[1]), 1)
-    assert bow >= 1 <= port  # A = C = 0 would mean that only the size is known
-    ahead, to_port, _ = station(sides_m=sides).antenna_m
-    assert (ahead + bow, -ahead + stern) == ((bow + stern) / 2, (bow + stern) / 2)
-    assert (to_port + port, -to_port + starboard) == ((port + starboard) / 2, (port + starboard) / 2)
-
-
-INTERVALS = [(0, "A", True, 180), (2.9, "A", True, 180), (3.1, "A", True, 10), (0, "A", False, 10)]
-INTERVALS += [(13.9, "A", False, 10), (14.1, "A", False, 6), (22.9, "A", False, 6), (23.1, "A", False, 2)]
-INTERVALS += [(np.nan, "A", False, 10), (1.9, "B", False, 180), (2.1, "B", False, 30), (40, "B", False, 30)]
-
-
-def test_a_slower_ship_keeps_its_interval_for_three_minutes_and_a_shorter_one_ends_it_at_once():
     speed = np.concatenate([np.full(100, 20.0), np.full(400, 5.0)])
     found = reporting.rate(seen(500, speed), "A", False).intervals_s
     assert (found == np.where(np.arange(500) < 280, 6, 10)).all()
@@ -119,7 +116,13 @@ def test_reports_come_at_their_interval_on_the_slots_of_a_minute(ais_class, inte
         assert stats.kstest(age - 0.2, "uniform").pvalue > 1e-4
 
 
-def test_the_asked_share_of_reports_is_lost_and_none_is_sent_before_a_fix_or_after_leaving():
+def resting(times_s, heading_rad=0.3, velocity=(0.0, 0.0)):
+    n = len(times_s)
+    motion = np.tile([1000.0, -500.0], (n, 1)), np.tile(velocity, (n, 1)), np.full(n, heading_rad), np.zeros(n)
+    return sensors.Stay(times_s, float(times_s[-1]), *motion, True)
+
+
+def test_the_asked_share_of_reports_is_lost_and_others_scatter_about_the_truth():
     times = np.arange(100_000)
     every_ten = reporting.ReportingRate(np.full(100_000, 10.0), times < 0)
     schedule = reporting.position_schedule(times, 99_999.0, every_ten, "A", 0.0)
@@ -138,15 +141,6 @@ def test_the_asked_share_of_reports_is_lost_and_none_is_sent_before_a_fix_or_aft
     late = reporting.Schedule(np.full(200, 60.5), np.full(200, 2.0))
     found = reporting.heard(late, times, 61.0, 0.0, np.random.default_rng(1).random((200, 2)))
     assert 60 < len(found.times_s) < 160 and found.times_s.max() <= 61
-
-
-def resting(times_s, heading_rad=0.3, velocity=(0.0, 0.0)):
-    n = len(times_s)
-    motion = np.tile([1000.0, -500.0], (n, 1)), np.tile(velocity, (n, 1)), np.full(n, heading_rad), np.zeros(n)
-    return sensors.Stay(times_s, float(times_s[-1]), *motion, True)
-
-
-def test_positions_speeds_courses_and_headings_scatter_about_the_truth_and_their_errors_last():
     streams, origin, stay = Streams(4), (56.0, 12.0), resting(np.array([0, 1, 400]))
     errors = []
     for vessel in range(500):
@@ -200,7 +194,7 @@ def test_places_and_local_metres_undo_each_other(origin):
     assert len(none[0]) == len(none[1]) == 0
 
 
-def test_speeds_courses_and_places_come_back_as_they_were_sent():
+def test_fields_come_back_as_they_were_sent_or_not_available_and_static_data_without_ids():
     tenths, rng = np.arange(1023), np.random.default_rng(8)
     latitude, longitude = rng.uniform(-90, 90, 1023), rng.uniform(-180, 180, 1023)  # in all quarters of the earth
     motion = {"speed_kn": tenths / 10 + 0.04, "course_deg": tenths * 3.6 - 1800.0}
@@ -214,9 +208,6 @@ def test_speeds_courses_and_places_come_back_as_they_were_sent():
         assert message.msg_type == (18 if ais_class == "B" else 3 if anchored else 1)
         assert abs(message.lat - latitude[row]) <= 0.5 / 600_000 + 5e-7  # the decoder rounds to six decimals
         assert abs(message.lon - longitude[row]) <= 0.5 / 600_000 + 5e-7
-
-
-def test_what_is_not_known_is_not_available_and_rate_of_turn_is_its_root_positive_to_starboard():
     found = seen(1, speed_kn=np.nan, course_deg=np.full(1, np.nan), heading_deg=359.6)
     message = sent(log.position_fields(station(length_m=30), found, 0, True, False))
     assert (message.speed, message.course, message.heading, message.turn) == (102.3, 360.0, 0, log.NO_TURN)
@@ -234,9 +225,6 @@ def test_what_is_not_known_is_not_available_and_rate_of_turn_is_its_root_positiv
             number -= 256 if number > 127 else 0
             assert number == side * min(round(4.733 * np.sqrt(turn)), 126), (turn, side)
             assert abs(log.turn_field(side * turn)) <= 708.8
-
-
-def test_static_data_come_back_without_the_vessels_id_and_tag_blocks_have_the_second_of_the_report():
     ship = sent(log.static_fields(station(), 0))
     assert (ship.msg_type, ship.shipname, ship.callsign, ship.ship_type) == (5, "SIM 219000001", "S3MDXHD", 60)
     assert (ship.to_bow, ship.to_stern, ship.to_port, ship.to_starboard) == (60, 30, 7, 8)

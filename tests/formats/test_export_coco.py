@@ -51,24 +51,6 @@ def test_pycocotools_finds_the_truth_perfect(truth: COCO, kind: str) -> None:
     assert scored.stats[[0, 1, 2, 8]] == pytest.approx(1)  # AP of all, 0.5 and 0.75; AR of 100 detections
 
 
-def test_masks_are_the_pixels_and_the_boxes_of_the_truth_table(run: StoredRun, truth: COCO) -> None:
-    rows = sorted((r for r in run.table("truth").to_pylist() if r["annotated"]), key=lambda row: row["camera"])
-    entries = truth.loadAnns(truth.getAnnIds())
-    assert len(rows) == len(entries) > 100
-    assert sum(row["visible_fraction"] < 1 for row in rows) > 5
-    for row, entry in zip(rows, entries, strict=True):
-        for key, box, count in (("a", "full", "silhouette_px"), ("i", "visible", "visible_px")):
-            sides = [row[f"{box}_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")]
-            assert entry[f"{key}_area"] == cocomask.area(entry[f"{key}_segm"]) == row[count]
-            x, y, width, height = entry[f"{key}_bbox"]
-            assert [x, y, x + width, y + height] == sides
-            assert cocomask.toBbox(entry[f"{key}_segm"]).tolist() == entry[f"{key}_bbox"]
-        assert (entry["bbox"], entry["area"]) == (entry["i_bbox"], entry["i_area"])
-        both = cocomask.merge([entry["a_segm"], entry["i_segm"]], intersect=True)
-        assert cocomask.area(both) == entry["i_area"]
-        assert truth.annToMask(entry).sum() == entry["area"]
-
-
 def test_in_mode_0_the_mask_is_the_whole_vessel_even_of_a_hidden_one(tmp_path: Path) -> None:
     run = exported_run(tmp_path, mode=0)
     coco.write(ExportRequest(run, (0,), masks=True), tmp_path / "coco")
@@ -112,7 +94,22 @@ def test_long_runs_are_encoded_as_pycocotools_does(counts: list[int]) -> None:
     assert pixels.encoded["counts"] == expected
 
 
-def test_whole_numbers_are_whole_and_each_camera_has_its_own_masks_of_pixels_of_the_run(folder, run):
+def test_masks_are_those_of_the_truth_table_of_each_camera_and_whole_numbers_are_whole(run, truth, folder):
+    rows = sorted((r for r in run.table("truth").to_pylist() if r["annotated"]), key=lambda row: row["camera"])
+    entries = truth.loadAnns(truth.getAnnIds())
+    assert len(rows) == len(entries) > 100
+    assert sum(row["visible_fraction"] < 1 for row in rows) > 5
+    for row, entry in zip(rows, entries, strict=True):
+        for key, box, count in (("a", "full", "silhouette_px"), ("i", "visible", "visible_px")):
+            sides = [row[f"{box}_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")]
+            assert entry[f"{key}_area"] == cocomask.area(entry[f"{key}_segm"]) == row[count]
+            x, y, width, height = entry[f"{key}_bbox"]
+            assert [x, y, x + width, y + height] == sides
+            assert cocomask.toBbox(entry[f"{key}_segm"]).tolist() == entry[f"{key}_bbox"]
+        assert (entry["bbox"], entry["area"]) == (entry["i_bbox"], entry["i_area"])
+        both = cocomask.merge([entry["a_segm"], entry["i_segm"]], intersect=True)
+        assert cocomask.area(both) == entry["i_area"]
+        assert truth.annToMask(entry).sum() == entry["area"]
     content = json.loads((folder / "gt.json").read_text())
     whole = {
         "images": ("id", "width", "height", "sequence"),

@@ -154,7 +154,12 @@ def written(analytic_run: StoredRun) -> Path:
     return analytic_run.folder.parent / "yolo"
 
 
-def test_every_frame_has_its_files_and_our_own_reader_reads_yolo_folders_back(analytic_run, written):
+def data_set(written: Path, labels: str) -> supervision.DetectionDataset:
+    paths = written / "images", written / labels, written / "data.yaml"
+    return supervision.DetectionDataset.from_yolo(*map(str, paths))
+
+
+def test_every_frame_has_yolo_files_that_our_own_reader_and_supervision_read_back(analytic_run, written):
     names = [f"{row['camera']}_{row['step']:06d}" for row in analytic_run.table("frames").to_pylist()]
     assert len(names) == STEPS + 15
     for kind in yolo.FOLDERS:
@@ -178,14 +183,6 @@ def test_every_frame_has_its_files_and_our_own_reader_reads_yolo_folders_back(an
     assert again.results.label.tolist() == found.label[order].tolist()
     np.testing.assert_allclose(again.results.boxes_px, found.boxes_px[order], atol=1.1e-3)
     np.testing.assert_allclose(again.results.confidence, found.confidence[order], atol=1e-6)
-
-
-def data_set(written: Path, labels: str) -> supervision.DetectionDataset:
-    paths = written / "images", written / labels, written / "data.yaml"
-    return supervision.DetectionDataset.from_yolo(*map(str, paths))
-
-
-def test_supervision_reads_it_and_finds_the_truth_perfect(analytic_run: StoredRun, written: Path) -> None:
     read = data_set(written, "labels")
     truth = list(read.annotations.values())
     assert read.classes == list(LABELS)
@@ -228,7 +225,7 @@ def test_no_vessel_is_named_and_the_order_is_that_of_confidence(analytic_run, tm
         assert all(confidence == round(confidence, 6) for _, confidence in rows)
 
 
-def test_boxes_have_three_decimals(analytic_run: StoredRun, tmp_path: Path) -> None:
+def test_boxes_have_three_decimals_and_nothing_says_where_they_came_from(analytic_run, tmp_path, monkeypatch):
     request = ExportRequest(analytic_run, (0, 1))
     for name in ("coco", "mot"):
         FORMATS[name].write(request, tmp_path / name)
@@ -239,9 +236,6 @@ def test_boxes_have_three_decimals(analytic_run: StoredRun, tmp_path: Path) -> N
     assert all(side == round(side, 3) for box in boxes for side in box)
     for sequence in request.sequences:  # what the shares of YOLO are made of
         assert (sequence.detections.boxes_px == sequence.detections.boxes_px.round(3)).all()
-
-
-def test_nothing_depends_on_where_detections_came_from_or_on_their_order(analytic_run, monkeypatch) -> None:
     first, coco = camera_sequences(analytic_run, (0, 1)), coco_results(labelled_run(analytic_run)[0])
     rows = RunRows.of(analytic_run)
     order = np.random.default_rng(0).permutation(rows.detections.num_rows)

@@ -86,7 +86,16 @@ def test_honest_boxes_are_read_without_a_remark_on_them(tmp_path, kind, name, vi
     assert not [note for note in labelled.notes if "eighth column" not in note and biased not in note]
 
 
-def test_whole_boxes_of_cut_vessels_are_a_remark_and_flags_are_numbers_truth_values_or_texts(tmp_path):
+def crossing(start, seed=0):
+    """Whole boxes of four vessels that leave the image by its right edge, and what is detected of the whole boxes."""
+    size = np.array([[160.0, 60], [200, 80], [120, 50], [90, 40]])
+    left = np.array([start, start + 100, start + 50, 100.0]) + np.arange(40)[:, None] * np.array([4, 3, 2, 1])
+    true = np.stack([left, np.broadcast_to(np.array([480.0, 500, 470, 700]), left.shape)], -1)
+    true = np.concatenate([true, np.broadcast_to(size, true.shape)], -1)
+    return Video(true, true + np.random.default_rng(seed).normal(0, 2, true.shape))
+
+
+def test_whole_boxes_of_cut_vessels_are_a_remark_and_corners_near_the_upper_left_are_named(tmp_path):
     video = Video.of()
     whole = video.true + np.where(video.true[..., :1] + video.true[..., 2:3] >= WIDTH - 1, [0, 0, 60, 0], 0)
     whole[:, -1, 1] = HEIGHT - 20.0  # below the lower edge
@@ -101,18 +110,6 @@ def test_whole_boxes_of_cut_vessels_are_a_remark_and_flags_are_numbers_truth_val
         problems = Problems("a file")
         read_flag(value, "flag", "here", problems)
         assert problems.count == 1
-
-
-def crossing(start, seed=0):
-    """Whole boxes of four vessels that leave the image by its right edge, and what is detected of the whole boxes."""
-    size = np.array([[160.0, 60], [200, 80], [120, 50], [90, 40]])
-    left = np.array([start, start + 100, start + 50, 100.0]) + np.arange(40)[:, None] * np.array([4, 3, 2, 1])
-    true = np.stack([left, np.broadcast_to(np.array([480.0, 500, 470, 700]), left.shape)], -1)
-    true = np.concatenate([true, np.broadcast_to(size, true.shape)], -1)
-    return Video(true, true + np.random.default_rng(seed).normal(0, 2, true.shape))
-
-
-def test_whole_boxes_outside_are_a_remark_where_detections_inside_lie_on_them(tmp_path):
     for note in read_pair(
         "day", *coco(tmp_path, crossing(830), *BOTH_RIGHT, size=(1080, 1920))
     ).notes:  # upright images
@@ -126,9 +123,6 @@ def test_whole_boxes_outside_are_a_remark_where_detections_inside_lie_on_them(tm
     found.write_text(json.dumps(results))
     notes = read_pair("day", truth, found).notes
     assert any(note.startswith("ground truth") and TOLD["larger"] in note for note in notes)
-
-
-def test_corners_near_the_upper_left_are_named_though_all_are_inside_but_of_one_vessel_a_remark(tmp_path):
     corners, small = [CHANGES["corners"]] * 2, Video(Video.of().true / 3, Video.of().found / 3)
     refused(TOLD["corners"], *coco(tmp_path, small, *corners))
     read_pair("day", *coco(tmp_path, small, *BOTH_RIGHT))
@@ -293,7 +287,7 @@ def test_places_in_the_world_are_neither_classes_nor_visibility(tmp_path, place,
         read_mot(tmp_path, tail=lambda k, j: f"1,{place + 0.7 * j:g},0.9")
 
 
-def test_separators_of_spreadsheets_and_decimal_commas_are_named(tmp_path):
+def test_separators_of_spreadsheets_are_named_and_columns_of_other_data_sets_are_no_visibility(tmp_path):
     for mark, told in (
         (lambda text: text.replace(",", ";"), "its cells have semicolons between them, must have commas"),
         (lambda text: text.replace(",", "\t"), "its cells have tabs between them, must have commas"),
@@ -310,9 +304,6 @@ def test_separators_of_spreadsheets_and_decimal_commas_are_named(tmp_path):
         for text in ("0,0.5,0.5,0.1,0.1\n", "0 0,5 0,5 0,1 0,1\n"):
             (folders[0] / "labels" / "003.txt").write_text(text)
             refused(r"must be numbers.*: commas stand neither between nor in them", *folders, SIZED)
-
-
-def test_columns_of_other_data_sets_are_no_visibility_and_what_is_read_is_told(tmp_path):
     labelled = read_mot(tmp_path, tail=lambda k, j: f"1,1,{int(j < 1)},0")
     assert np.isnan(labelled.annotations.visible_fraction).all()
     assert has(labelled, "truncation and occlusion, as in VisDrone", "the ninth is 0 in 200 of 240 lines")
@@ -345,7 +336,7 @@ def test_numbers_that_no_column_of_mot_has_are_refused_one_by_one(tmp_path, tail
     refused(r"identity must be a whole number \(got 2.5\)", *given)
 
 
-def test_numbers_of_frames_are_held_against_the_sequence(tmp_path):
+def test_numbers_of_frames_are_held_against_the_sequence_and_options_that_do_nothing_told(tmp_path):
     assert has(read_mot(tmp_path, length=3), "seqinfo.ini says 3 frames (seqLength), and the last with a box is 40")
     assert has(read_mot(tmp_path, length=400), "seqinfo.ini says 400 frames (seqLength), and the last with a box is 40")
     assert not has(read_mot(tmp_path, length=40), "seqLength") and not has(read_mot(tmp_path, length=0), "seqLength")
@@ -354,9 +345,6 @@ def test_numbers_of_frames_are_held_against_the_sequence(tmp_path):
     shifted = (line.partition(",") for line in lines if not line.startswith("1,"))  # nothing is detected in the first
     given[1].write_text("".join(f"{int(frame) - 1},{rest}\n" for frame, _, rest in shifted))
     refused("frames count from 0, must count from 1", *given)
-
-
-def test_options_that_do_nothing_are_told_and_marks_of_a_seqinfo_passed_over(tmp_path):
     labelled = read_mot(tmp_path, ReadOptions(image_size_px=(640, 480), category_offset=1))
     assert has(labelled, "--image-size is not used: seqinfo.ini says 1920 x 1080", "--category-offset is not used: MOT")
     given = ReadOptions(("a", "b", "c"), (640, 480), frame_rate_hz=5)
@@ -375,7 +363,7 @@ def test_options_that_do_nothing_are_told_and_marks_of_a_seqinfo_passed_over(tmp
     assert not has(read_truth(truth)[0], "boxes is 0")
 
 
-def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by_labels_without_gaps(tmp_path):
+def test_numbers_of_classes_that_differ_get_one_name_and_a_track_in_place_of_a_confidence_is_named(tmp_path):
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import LearnSettings
 
@@ -387,9 +375,6 @@ def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by
     assert parsed_names("a, b,", "--labels") == ("a", "b")
     with pytest.raises(InputError, match="the name 2 is empty"):
         parsed_names("a,,b", "--labels")
-
-
-def test_a_track_that_stands_where_a_confidence_should_is_named(tmp_path):
     with pytest.raises(InputError, match="whole numbers may be tracks or classes, not confidences"):
         read_mot(tmp_path, found_tail="7,-1,-1,-1")
     labelled = read_mot(tmp_path, found_tail="1,-1,-1,-1")

@@ -101,13 +101,10 @@ BAD = [
 ]
 
 
-def test_coco_that_is_wrong_is_refused_with_the_index_of_the_entry(tmp_path):
+def test_coco_that_is_wrong_is_refused_with_every_problem_and_entries_left_out_when_asked(tmp_path):
     for files, message in BAD:
         with pytest.raises(InputError, match=message):
             read(tmp_path, *files)
-
-
-def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
     results = [{**RESULTS[0], "image_id": k} for k in range(30)] + RESULTS
     with pytest.raises(InputError) as raised:
         read(tmp_path, results=results)
@@ -144,7 +141,13 @@ def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
                 np.testing.assert_allclose(getattr(getattr(again, part), name), column, atol=1e-9)
 
 
-def test_mot(tmp_path):
+def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
+    (tmp_path / "gt.txt").write_text(truth)
+    (tmp_path / "det.txt").write_text(detections)
+    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(labels, size))
+
+
+def test_mot_is_read_and_an_empty_column_does_not_shift_the_others(tmp_path):
     folder = tmp_path / "gt"
     folder.mkdir()
     (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=1920\nimHeight=1080\nseqLength=4\nframeRate=5\n")
@@ -168,15 +171,6 @@ def test_mot(tmp_path):
     assert raised.value.problems[-1].startswith("confidences are from 0.9 to 7 here: confidence_scale")
     (tmp_path / "seqinfo.ini").unlink()
     refused("give image_size_px", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
-
-
-def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
-    (tmp_path / "gt.txt").write_text(truth)
-    (tmp_path / "det.txt").write_text(detections)
-    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(labels, size))
-
-
-def test_an_empty_column_of_mot_does_not_shift_the_others_and_frames_are_no_times(tmp_path):
     assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").results) == 1
     for said, wrong in (
         (r"det.txt line 1: must be numbers \(got '1,-1,,12", {"detections": "1,-1,,12,20,30,40,0.9\n"}),

@@ -35,7 +35,7 @@ def result(image_id, category_id=1, **more):
 NUMBERED = ("000010.jpg", "000011.jpg", "000012.jpg")
 
 
-def test_an_image_is_named_by_its_id_or_its_file_and_what_may_be_either_told(tmp_path):
+def test_an_image_is_named_by_its_id_or_its_file_unless_two_have_it_and_categories_can_be_moved(tmp_path):
     for names, results, rows, doubtful in (
         (NAMES, [result("frame_002"), result("frame_000")], [0, 2], False),  # ultralytics: the name without its ending
         (tuple(f"images/val/{name}" for name in NAMES), [result("frame_002"), result("frame_000")], [0, 2], False),
@@ -56,9 +56,6 @@ def test_an_image_is_named_by_its_id_or_its_file_and_what_may_be_either_told(tmp
         labelled = read_pair("day", *coco(tmp_path, results, names))
         assert labelled.results.image.tolist() == rows and set(labelled.results.confidence) == {0.87512}, results
         assert any("the name of another's file" in note for note in labelled.notes) == doubtful
-
-
-def test_a_file_name_of_two_images_stands_for_neither_and_categories_can_be_moved(tmp_path):
     files = coco(tmp_path, [result("a"), result("b")], ("one/a.jpg", "two/a.jpg", "b.jpg"))
     refused(r"\[0\]: unknown image_id 'a'", *files)
     truth, detections = coco(tmp_path, [result("north")])
@@ -88,7 +85,7 @@ def test_what_was_meant_is_looked_for_in_what_is_shown_and_tracks_twice_in_an_im
     assert labelled.annotations.identity.tolist() == [-1, -1]
 
 
-def test_a_whole_number_is_a_track_however_it_is_written_and_other_numbers_are_none(tmp_path):
+def test_a_whole_number_is_a_track_however_written_and_frame_numbers_are_no_times_without_a_rate(tmp_path):
     def of_track(**keys):
         box = {"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], **keys}
         return read_truth(coco(tmp_path, [], annotations=[box])[0], ReadOptions())[0]
@@ -105,9 +102,6 @@ def test_a_whole_number_is_a_track_however_it_is_written_and_other_numbers_are_n
     assert are_rounded(mmsi) and not are_rounded([*mmsi, 219_012_345]) and not are_rounded(mmsi[:3])
     assert not are_rounded([219_000_000 + 2000 * k for k in range(9)])  # as many ships really have
     assert not are_rounded([*range(100), *map(str, mmsi), 10**400])
-
-
-def test_frame_numbers_are_no_times_unless_the_rate_is_given(tmp_path):
     (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
     (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
     mot, numbered = (tmp_path / "gt.txt", tmp_path / "det.txt"), {"video_id": 3, "frame_id": 5}
@@ -137,7 +131,7 @@ def yolo(tmp_path):
     return tmp_path
 
 
-def test_yolos_images_say_how_large_and_how_many_they_are_and_its_data_what_they_show(yolo):
+def test_yolos_images_say_how_large_they_are_without_their_pixels_and_folders_not_meant_are_refused(yolo, monkeypatch):
     folders = yolo / "set" / "labels" / "val", yolo / "predict"
     labelled = read_pair("day", *folders, ReadOptions())
     assert labelled.images.names == ("a", "b", "empty")
@@ -150,9 +144,6 @@ def test_yolos_images_say_how_large_and_how_many_they_are_and_its_data_what_they
     turned[274] = 6
     photo.save(yolo / "set" / "images" / "val" / "a.jpg", exif=turned)
     assert read_pair("day", *folders, ReadOptions()).images.sizes_px[0].tolist() == [100, 200]
-
-
-def test_the_size_of_an_image_is_known_without_its_pixels_and_folders_not_meant_are_refused(yolo, monkeypatch):
     picture = yolo / "set" / "images" / "val" / "b.png"
     picture.write_bytes(picture.read_bytes()[:60])
     assert image_size_px(picture) == (400, 300)

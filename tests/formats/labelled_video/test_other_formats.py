@@ -28,7 +28,7 @@ def shifted(path: Path, by: int = -1) -> None:
     path.write_text("".join(",".join(map(str, line)) + "\n" for line in new))
 
 
-def test_frames_and_pixels_from_0_are_those_from_1(tmp_path: Path) -> None:
+def test_frames_and_pixels_from_0_are_those_from_1_and_results_are_written_so(tmp_path: Path) -> None:
     files = labelled_files.mot(tmp_path, Video.of())
     usual, lines = read_pair("day", *files), files[1].read_text().splitlines(keepends=True)
 
@@ -54,9 +54,6 @@ def test_frames_and_pixels_from_0_are_those_from_1(tmp_path: Path) -> None:
     for path in files:
         path.write_text("".join(path.read_text().splitlines(keepends=True)[6:]))
     assert "a frame 0" not in told(slice(6, None), first_frame=0)
-
-
-def test_detections_of_frames_from_0_are_written_so_and_tracks_are_read_so(tmp_path: Path) -> None:
     truth, runs = mot(tmp_path / "bay"), []
     for name in ("from_1", "from_0"):
         run = modsim3d.detect_truth(truth, tmp_path / name, detector="thesis").folder
@@ -64,26 +61,6 @@ def test_detections_of_frames_from_0_are_written_so_and_tracks_are_read_so(tmp_p
         assert modsim3d.score_run(run, truth).trackers[0].scores.flat()["loca"] == pytest.approx(1)
         shifted(truth)
     assert np.allclose(runs[0], runs[1], atol=0.02) and len(runs[0]) > 50
-
-
-def test_occlusion_of_visdrone_is_a_visible_fraction_and_its_class_0_a_region(tmp_path: Path) -> None:
-    files = tmp_path / "gt.txt", tmp_path / "det.txt"
-    files[1].write_text("1,-1,10,20,30,40,0.9,4,-1,-1\n")
-
-    def read(*ends: str) -> Any:
-        tracks = [7 if end.startswith("0,0") else k for k, end in enumerate(ends)]
-        files[0].write_text("".join(f"1,{tracks[k]},{10 + 50 * k},20,30,40,{end}\n" for k, end in enumerate(ends)))
-        return read_pair("day", *files, NO_INFO)
-
-    boxes = read("1,4,0,0", "0,0,0,0", "0,0,0,0", "1,5,1,1", "0,11,0,2").annotations
-    assert sorted(boxes.label[boxes.crowd].tolist()) == [0, 0, 1, 1, 2, 2]  # of each of three labels
-    assert boxes.visible_fraction[~boxes.crowd].tolist() == [1, 0.75, 0.25]
-    assert boxes.in_frame_fraction[~boxes.crowd].tolist() == [1, 0.75, 1]
-    assert boxes.ignored[~boxes.crowd].tolist() == [False, False, True] and (boxes.identity[boxes.crowd] == -1).all()
-    for ends in (("1,4,0,0", "1,12,0,1"), ("1,4,0,0", "1,4,1,0"), ("1,1,1,1", "1,1,1,1")):
-        labelled = read(*ends)
-        assert np.isnan(labelled.annotations.visible_fraction).all()
-    assert any("nine and ten are 1 in every line" in note for note in labelled.notes)
 
 
 CAR, WORLD = "0 0 Car 0 0 -1.7 100 150 200 250 1.5 1.6 3.9 -4 1.8 13.4 -2.1", "1.5 1.6 3.9 -4 1.8 {} -2.1"
@@ -105,7 +82,24 @@ def kitti(folder: Path, name: str = "0000", truth: str = KITTI, found: str = FOU
     return [folder / part / f"{name}.txt" for part in ("labels", "results")]
 
 
-def test_labels_of_kitti_are_read_and_wrong_ones_refused_or_left_out(tmp_path):
+def test_occlusion_of_visdrone_is_a_visible_fraction_and_labels_of_kitti_are_read_or_refused(tmp_path: Path) -> None:
+    files = tmp_path / "gt.txt", tmp_path / "det.txt"
+    files[1].write_text("1,-1,10,20,30,40,0.9,4,-1,-1\n")
+
+    def read(*ends: str) -> Any:
+        tracks = [7 if end.startswith("0,0") else k for k, end in enumerate(ends)]
+        files[0].write_text("".join(f"1,{tracks[k]},{10 + 50 * k},20,30,40,{end}\n" for k, end in enumerate(ends)))
+        return read_pair("day", *files, NO_INFO)
+
+    boxes = read("1,4,0,0", "0,0,0,0", "0,0,0,0", "1,5,1,1", "0,11,0,2").annotations
+    assert sorted(boxes.label[boxes.crowd].tolist()) == [0, 0, 1, 1, 2, 2]  # of each of three labels
+    assert boxes.visible_fraction[~boxes.crowd].tolist() == [1, 0.75, 0.25]
+    assert boxes.in_frame_fraction[~boxes.crowd].tolist() == [1, 0.75, 1]
+    assert boxes.ignored[~boxes.crowd].tolist() == [False, False, True] and (boxes.identity[boxes.crowd] == -1).all()
+    for ends in (("1,4,0,0", "1,12,0,1"), ("1,4,0,0", "1,4,1,0"), ("1,1,1,1", "1,1,1,1")):
+        labelled = read(*ends)
+        assert np.isnan(labelled.annotations.visible_fraction).all()
+    assert any("nine and ten are 1 in every line" in note for note in labelled.notes)
     labelled = read_pair("day", *kitti(tmp_path), NO_INFO)
     boxes, ids, cars = labelled.annotations, labelled.ids, ~labelled.annotations.ignored
     assert labelled.labels == ("Car",) and ids is not None and ids.images == ids.identities == (0, 1, 2)
@@ -236,7 +230,7 @@ def regions(folder: Path) -> tuple[dict[str, Path], Path]:
     return files, folder / "dt.json"
 
 
-def test_a_track_or_a_detection_in_a_region_to_be_ignored_is_not_false(tmp_path: Path) -> None:
+def test_a_track_in_an_ignored_region_is_not_false_and_another_detector_works_on_the_labels(tmp_path: Path) -> None:
     files, found = regions(tmp_path)
     tracks = tmp_path / "tracks.txt"
     boxes = [f"{frame},9,421,21,60,60,1,-1,-1,-1" for frame in range(1, 21)]
@@ -251,9 +245,6 @@ def test_a_track_or_a_detection_in_a_region_to_be_ignored_is_not_false(tmp_path:
         false[name] = keys["false_positives"], real.counts.false_positives
         assert any("20 of 80 detections are left out" in note for note in real.notes) == (name == "half")
     assert false == {"none": (20, 20), "half": (0, 0), "less": (20, 20)}
-
-
-def test_another_detector_works_on_the_labels_and_nothing_else_changes_what_was_found(tmp_path: Path) -> None:
     files, found = regions(tmp_path)
     real = modsim3d.detect_truth(files["none"], tmp_path / "real", detections=found, frame_rate_hz=5).folder
     simulated = modsim3d.detect_truth(files["none"], tmp_path / "asked", detector="thesis", seed=3, frame_rate_hz=5)
