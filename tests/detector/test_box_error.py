@@ -67,15 +67,6 @@ def test_boxes_at_the_edge_stay_in_the_image_and_a_pixel_wide(box_px: list[float
     assert found.boxes_px.min() >= 0 and np.all(found.boxes_px[:, 2:] <= build.IMAGE_PX)
 
 
-def test_a_singular_covariance_moves_boxes_along_one_line_only() -> None:
-    direction = np.array([1.0, 2.0, -3.0, 0.5])
-    error = build.box_error([0, 0, 0, 0], np.outer(direction, direction))
-    errors = misplaced(build.centred(600, 600), error, frames=2000).errors_px
-    along = errors @ direction / (direction @ direction)
-    np.testing.assert_allclose(errors, along[:, None] * direction, atol=1e-5)
-    assert abs(along.std() - 1) < 4 / np.sqrt(2 * 2000)
-
-
 @pytest.mark.parametrize(("mean", "covariance"), [([0, 0, -50, 0], np.zeros((4, 4))), ([9000, 0, 0, 0], np.eye(4))])
 def test_a_box_inside_out_or_outside_the_image_is_an_error_that_says_where_and_what_to_do(mean, covariance) -> None:
     data = build.one_state_data(**SEEN, box_error=build.box_error(mean, covariance))
@@ -145,7 +136,13 @@ def test_relative_errors_are_in_sides_of_the_box_and_mixed_ones_spread_with_them
     assert_moments(found.errors_px, np.array(MIXED["mean"]), asked * np.outer(grown, grown))
 
 
-def test_states_may_have_different_units_and_thin_boxes_are_a_pixel_when_errors_are_relative():
+def test_a_singular_covariance_moves_boxes_along_one_line_and_states_may_have_different_units() -> None:
+    direction = np.array([1.0, 2.0, -3.0, 0.5])
+    error = build.box_error([0, 0, 0, 0], np.outer(direction, direction))
+    errors = misplaced(build.centred(600, 600), error, frames=2000).errors_px
+    along = errors @ direction / (direction @ direction)
+    np.testing.assert_allclose(errors, along[:, None] * direction, atol=1e-5)
+    assert abs(along.std() - 1) < 4 / np.sqrt(2 * 2000)
     data = build.one_state_data(**SEEN)
     only = data["states"]["only"]
     states = {"px": only, "relative": only | {"box_error": RELATIVE}}
@@ -176,7 +173,10 @@ def test_truncated_moments_are_those_of_what_the_detector_draws(error, box_px, s
     assert abs(found.redrawn.mean() - (1 - asked.accepted[0])) < 0.015
 
 
-def test_truncated_moments_are_one_sided_normals_and_those_of_the_file_for_large_boxes():
+POINTS = 512
+
+
+def test_truncated_moments_are_one_sided_normals_and_points_in_a_tail_have_the_plain_bits():
     error = build.box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
     found = truncated_errors(source_of(error), 0, np.array([build.centred(11, 100)]), build.IMAGE_PX)
     law = stats.truncnorm(-10 / 20, np.inf, scale=20)
@@ -194,12 +194,6 @@ def test_truncated_moments_are_one_sided_normals_and_those_of_the_file_for_large
         std = np.sqrt(np.diag(error["covariance"]))
         assert np.all(np.abs(found.means - error["mean"]) < 0.02 * std)
         assert np.all(np.abs(found.covariances() - error["covariance"]) < 0.03 * np.outer(std, std))
-
-
-POINTS = 512
-
-
-def test_points_in_a_tail_give_the_bits_of_the_plain_way():
     generator = np.random.default_rng(3)
     uniforms = generator.random((9, POINTS))
     uniforms[:, 0] = 2.0**-53  # the least that is not 0

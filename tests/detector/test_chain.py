@@ -89,7 +89,7 @@ def test_noise_belongs_to_the_seed_a_vessels_name_and_a_camera_also_of_fewer_fra
     assert np.array_equal(some.states, whole.states[::3])
 
 
-def test_rows_are_ordered_by_frame_shuffled_within_and_every_column_fits_the_others():
+def test_rows_are_ordered_by_frame_confidence_is_clipped_and_no_frames_give_no_detections():
     data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error())
     boxes = np.tile([1000.0, 1000, 1100, 1100], (3000, 4, 1))
     found = build.run(data, build.make_frames(3000), build.make_targets(boxes))
@@ -111,9 +111,6 @@ def test_rows_are_ordered_by_frame_shuffled_within_and_every_column_fits_the_oth
     assert len(np.unique(found.target[~false])) == np.sum(~false) and found.states.shape == (STEPS,)
     state = found.states[found.frame]
     assert found.confidence[state == 0].mean() > found.confidence[state == 1].mean() + 0.15
-
-
-def test_confidence_is_clipped_not_dropped_and_no_frames_and_no_targets_give_no_detections():
     data = build.one_state_data(confidence={"mean": 0.2, "std": 0.1}, confusion=build.ALL_SEEN)
     targets = scattered_targets()
     found = build.run(data, build.make_frames(STEPS), targets)
@@ -282,7 +279,14 @@ def test_the_last_bits_of_functions_do_not_reach_the_detections(name: str, other
     assert len(here) > 200 and build.all_bytes(there) == build.all_bytes(here)
 
 
-def test_redrawn_errors_are_those_of_plain_rejection() -> None:
+def digest(*columns: np.ndarray) -> str:
+    """Of seven digits of each number: more would hash the rounding of the machine's sine."""
+    text = "\n".join(f"{value:.6e}" for column in columns for value in np.asarray(column, dtype=float).ravel())
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# Digests of these tests, from the chain as it was when false positives got sides of their own parts of a pixel.
+def test_redrawn_errors_are_those_of_plain_rejection_and_simulation_1_is_detected_as_it_was() -> None:
     error, box_px = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2), build.centred(20, 20)
     data = build.one_state_data(confusion=build.ALL_SEEN, false_discovery_rate=0, box_error=error)
     found = build.run(data, build.make_frames(1500), build.steady_targets(1500, 10, box_px))
@@ -295,16 +299,6 @@ def test_redrawn_errors_are_those_of_plain_rejection() -> None:
     error = 4 * np.sqrt(1 / len(errors) + 1 / len(plain))  # of a mean in deviations, and at most of a correlation
     assert np.all(np.abs(errors.mean(axis=0) - plain.mean(axis=0)) < np.std(plain, axis=0, ddof=1) * error)
     assert np.all(np.abs(np.corrcoef(errors.T) - np.corrcoef(plain.T)) < error)
-
-
-def digest(*columns: np.ndarray) -> str:
-    """Of seven digits of each number: more would hash the rounding of the machine's sine."""
-    text = "\n".join(f"{value:.6e}" for column in columns for value in np.asarray(column, dtype=float).ravel())
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-# Digests of these tests, from the chain as it was when false positives got sides of their own parts of a pixel.
-def test_simulation_1_and_three_labels_are_detected_as_they_were():
     scene = modsim3d.load_scene("simulation_1", steps=300, source="analytic")
     found = [frame.detections for frame in modsim3d.simulate_frames(scene)]
     columns = [column for each in found for column in (each.boxes_px, each.confidence, each.errors_px)]

@@ -38,7 +38,7 @@ def count_per_frame(detections: Detections, frames: int) -> np.ndarray:
     return np.bincount(detections.frame[detections.kind == FALSE_POSITIVE], minlength=frames)
 
 
-def test_calibrated_counts_are_poisson_and_one_more_vessel_only_adds_to_them():
+def test_calibrated_counts_are_poisson_with_sizes_of_the_vessels_of_the_same_frame() -> None:
     counts = count_per_frame(detected("calibrated", 0.25, build.same_boxes(20_000, 6, BOX)), 20_000)
     assert abs(counts.mean() - 2) < 4 * np.sqrt(2 / 20_000)
     assert abs(counts.var() - 2) < 4 * np.sqrt((2 + 2 * 4) / 20_000)  # fourth central moment 3λ² + λ, less λ²
@@ -50,9 +50,6 @@ def test_calibrated_counts_are_poisson_and_one_more_vessel_only_adds_to_them():
     assert np.all(count_per_frame(fewer, 500) <= count_per_frame(right, 500))
     places, all_places = ({tuple(box) for box in false_boxes(found).tolist()} for found in (fewer, right))
     assert places < all_places
-
-
-def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame_and_say_nothing_of_labels() -> None:
     boxes = build.same_boxes(6000, 3, BOX)
     boxes[::2, :2] = [1000, 1000, 1100, 1010]  # even frames: two thirds 100 × 10
     found = detected("calibrated", 0.5, boxes)
@@ -76,12 +73,6 @@ def test_thesis_counts_are_binomial_in_the_rounded_rule(n: int, rate: float, tri
     assert abs(counts.mean() - trials * rate) <= 4 * np.sqrt(trials * rate * (1 - rate) / 3000)
 
 
-def test_thesis_boxes_are_a_hundred_pixels_where_not_clipped() -> None:
-    boxes = false_boxes(detected("thesis", 0.5, build.same_boxes(300, 20, BOX)))
-    np.testing.assert_allclose(sizes(boxes[inside(boxes)]), 100)
-    assert 0.9 < inside(boxes).mean() < 1
-
-
 @pytest.mark.parametrize("kind", ["calibrated", "thesis"])
 def test_false_positives_are_centred_below_the_horizon(kind: str) -> None:
     boxes = false_boxes(detected(kind, 0.5, build.same_boxes(300, 20, BOX), sea=(0.0, 1.0, -1500.0)))
@@ -90,7 +81,10 @@ def test_false_positives_are_centred_below_the_horizon(kind: str) -> None:
     assert len(centre_y) > 1000 and 1500 <= centre_y.min() < 1510
 
 
-def test_false_positives_have_the_rate_and_labels_of_the_state_and_keep_a_pixel():
+def test_thesis_boxes_are_a_hundred_pixels_and_all_have_the_rate_and_labels_of_the_state() -> None:
+    boxes = false_boxes(detected("thesis", 0.5, build.same_boxes(300, 20, BOX)))
+    np.testing.assert_allclose(sizes(boxes[inside(boxes)]), 100)
+    assert 0.9 < inside(boxes).mean() < 1
     data = build.detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
     data["states"]["fog"]["false_positive_labels"] = [0.9, 0.1]
     found = build.run(data, build.make_frames(4000), build.steady_targets(4000, 6, build.centred(600, 600)))
@@ -143,7 +137,7 @@ def test_each_frame_shows_a_poisson_number_with_its_rate(rate: float, step_s: fl
     assert stats.chisquare(seen, np.append(law, 1 - law.sum()) * len(apart)).pvalue > 1e-4
 
 
-def test_numbers_follow_a_rate_that_changes_on_which_places_sizes_and_directions_do_not_depend():
+def test_numbers_follow_a_rate_that_changes_and_lifetimes_are_exponential() -> None:
     rates = np.where(np.arange(FRAMES) % 2, 0.3, 1.4)
     counts = np.bincount(watch(rates, 2.0).frame, minlength=FRAMES)
     for rate in (0.3, 1.4):
@@ -162,9 +156,6 @@ def test_numbers_follow_a_rate_that_changes_on_which_places_sizes_and_directions
     correlations = np.corrcoef(numbers.T)[np.triu_indices(6, 1)]
     assert np.abs(correlations).max() < 4.5 / np.sqrt(len(births))
     assert abs(numbers[:, 5].mean() - 0.5) < 4 * 0.5 / np.sqrt(len(births))
-
-
-def test_lifetimes_are_exponential_and_one_that_stays_keeps_its_numbers_and_grows_older() -> None:
     found = watch(1.0, 2.0)
     _, one = np.unique(found.uniforms[:, 0], return_inverse=True)
     shown = np.bincount(one)

@@ -48,7 +48,7 @@ def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None
         assert abs(precision[np.searchsorted(recall, level)] - asked.at(np.array(level))) < 0.03
 
 
-def test_true_and_false_detections_have_their_own_confidence_straight_between_its_quantiles():
+def test_confidence_is_of_its_kind_and_falls_with_the_hidden_share_and_small_boxes():
     _, found = detect({"true": {"mean": 0.7, "std": 0.05}, "false": {"mean": 0.4, "std": 0.04}})
     for kind, mean, std in ((~found.false(), 0.7, 0.05), (found.false(), 0.4, 0.04)):
         scores = found.confidence[kind]
@@ -61,9 +61,6 @@ def test_true_and_false_detections_have_their_own_confidence_straight_between_it
     assert np.all(found.confidence[found.false()] == 0.3)
     ends = QuantileScores(np.array([0.2, 0.5, 1.0])).at(np.array([0.0, 0.5, 1 - 2.0**-53]))
     np.testing.assert_allclose(ends, [0.2, 0.5, 1.0], err_msg="the ends are reached")
-
-
-def test_confidence_falls_with_the_hidden_share_and_small_boxes_and_impossible_curves_between_recalls():
     same = {"mean": 0.9, "std": 0.02}
     targets, found = detect({"true": same, "false": same, "visibility_slope": 0.5})
     true = ~found.false()
@@ -124,14 +121,6 @@ def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, thres
         assert probabilities @ nodes**power == pytest.approx(exact, rel=1e-9)
 
 
-def test_law_whose_numbers_all_lie_beyond_an_end_is_that_end():
-    for mean, end in ((-5.0, 0), (7.0, -1)):  # fifty standard deviations away
-        (nodes,), (probabilities,) = confidence.clipped_laws(np.array([mean]), 0.1, 0.2)
-        assert len(nodes) == len(probabilities) and probabilities[end] == pytest.approx(1)
-        assert probabilities.sum() == pytest.approx(1)
-        assert ((nodes >= 0.2) & (nodes <= 1)).all()
-
-
 def log_likelihood(values, mean, std, low, high):
     normal = stats.norm(mean, std)
     inside = np.where(values >= high, normal.logsf(high), normal.logpdf(values))
@@ -155,7 +144,12 @@ def test_fit_is_the_greatest_likelihood_that_a_general_optimiser_finds(mean, std
         np.testing.assert_allclose(score, 0, atol=1e-6)
 
 
-def test_sums_tell_ends_from_what_is_between_and_rows_are_fitted_one_by_one():
+def test_laws_beyond_an_end_are_that_end_and_sums_tell_ends_from_what_is_between():
+    for mean, end in ((-5.0, 0), (7.0, -1)):  # fifty standard deviations away
+        (nodes,), (probabilities,) = confidence.clipped_laws(np.array([mean]), 0.1, 0.2)
+        assert len(nodes) == len(probabilities) and probabilities[end] == pytest.approx(1)
+        assert probabilities.sum() == pytest.approx(1)
+        assert ((nodes >= 0.2) & (nodes <= 1)).all()
     values = np.array([0.1, 0.2, 0.5, 0.9, 1.0])
     expected = [[1, 0, 0, 0, 0], [1, 0, 0, 0, 0], [0, 0, 1, 0.5, 0.25], [0, 1, 0, 0, 0], [0, 1, 0, 0, 0]]
     sums = confidence.clipped_sums(values, 0.2, 0.9)

@@ -98,7 +98,7 @@ def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout:
     assert abs(missed.mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / len(missed))
 
 
-def test_a_score_says_who_is_missed_and_how_sure_the_detector_is_and_labels_keep_their_share_of_the_column() -> None:
+def test_a_score_says_who_is_missed_and_effects_of_nothing_leave_the_chain_as_it_is() -> None:
     targets, frames, model = varied_targets(), build.make_frames(FRAMES), parse_detector(model_data())
     classifier = ConfusionClassifier.from_model(model, TargetStatistics())
     uniforms, states = np.empty(len(targets)), np.zeros(FRAMES, dtype=np.int64)
@@ -113,9 +113,6 @@ def test_a_score_says_who_is_missed_and_how_sure_the_detector_is_and_labels_keep
         share = np.bincount(labels[rows], minlength=2) / rows.sum()
         np.testing.assert_allclose(share, np.array(column) / (1 - missed), atol=2 / rows.sum())
     assert (classifier.classify_scored(frames, states, targets, uniforms, np.full(len(targets), 0.1))[0] == -1).all()
-
-
-def test_effects_of_nothing_leave_the_chain_as_it_is_and_a_slope_may_start_at_nothing_seen():
     plain, frames = varied_targets(400), build.make_frames(400)
     unknown = dataclasses.replace(plain, visible_fraction=np.full(400 * VESSELS, np.nan))
     for targets, effect in (
@@ -144,7 +141,7 @@ def gated(**gates: float) -> tuple[Targets, Detections]:
     return targets, build.run(data, build.make_frames(500), targets)
 
 
-def test_gates_keep_out_what_is_far_small_or_hidden_and_change_nothing_in_what_passes():
+def test_gates_keep_out_what_is_far_small_or_hidden_and_detections_that_are_too_many():
     targets, found = gated(max_range_m=500, min_box_px=12, max_occlusion=0.8)
     out = (targets.depth_m > 500) | (sizes(targets.boxes_px).min(axis=1) < 12) | (targets.visible_fraction < 0.2)
     assert 0.3 < out.mean() < 0.9 and np.array_equal(found.gated, out)
@@ -160,9 +157,6 @@ def test_gates_keep_out_what_is_far_small_or_hidden_and_change_nothing_in_what_p
     assert np.array_equal(some_near, every_near) and not every.gated.any()
     plain = model_data(states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
     assert build.all_bytes(every) == build.all_bytes(build.run(plain, build.make_frames(500), targets))
-
-
-def test_the_surest_detections_are_put_out_and_a_detector_with_an_interval_runs_at_the_first_frame():
     _, every = gated()
     _, some = gated(max_detections=4)
     assert np.bincount(some.frame).max() == 4
@@ -212,7 +206,7 @@ def added_log_odds(targets: Targets, per_m: Any) -> np.ndarray:
     return -0.5 * np.log2(sides_of(targets) / 50) + per_m * (targets.depth_m - 200)
 
 
-def test_misses_follow_the_distance_as_each_state_says_at_its_rate_or_intercept():
+def test_misses_follow_the_distance_by_state_and_a_miss_rate_is_the_mean_over_the_learning_set() -> None:
     frames, targets = scene()
     found = run(own_data(), frames, targets)
     missed, state = labels_of(found, targets) < 0, found.states[targets.frame]
@@ -238,9 +232,6 @@ def test_misses_follow_the_distance_as_each_state_says_at_its_rate_or_intercept(
         odds = special.logit(0.4) + np.array([0.4, -1.0])[seen.label] + added_log_odds(seen, 0.03)
         rates = classifier.miss_rates(np.full(len(seen), FOG_STATE), seen)
         assert np.allclose(rates, special.expit(odds), atol=1e-9)
-
-
-def test_a_miss_rate_is_the_mean_over_the_learning_set() -> None:
     learned = [[-2.0, 0.0, 3.0], [-1.0, 1.0, 1.0]]
     data = own_data(intercept=[0.4, -1.0], learned_log_odds=learned)
     data["states"]["fog"]["dropout"] |= {"intercept": [0.1, 0.2]}
@@ -265,19 +256,6 @@ def test_an_own_effect_that_equals_the_shared_one_changes_nothing(anchor: str) -
     assert all_bytes(run(shared, frames, targets)) == all_bytes(run(same, frames, targets))
 
 
-def test_a_state_may_be_the_only_one_with_effects_and_needs_distances():
-    model = parse_detector(data_with({"anchor": "state_rate"}, {"distance_m": FOG}))
-    assert model.dropout.anchored and model.dropout.effects_of(0) == ()
-    used = {each.key: each for each in used_models(model)}["states.fog.dropout.distance_m"]
-    assert (used.name, used.state) == ("logistic", "fog")
-    frames, targets = scene(100)
-    own = run(data_with({}, {"distance_m": FOG}), frames, targets)
-    assert all_bytes(own) != all_bytes(run(detector_data(), frames, targets))
-    model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
-    with pytest.raises(InputError, match=r"settings=\{.detector\.states\.fog\.dropout\.distance_m.: None\}$"):
-        check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))
-
-
 @pytest.mark.parametrize(("dropout", "fog", "message"), [
     ({}, {"distanc_m": FOG}, "states.fog.dropout.distanc_m: unknown key (did you mean 'distance_m'?)"),
     ({}, {"model": "table"}, "states.fog.dropout.model: unknown key"),
@@ -297,7 +275,17 @@ def test_a_bad_effect_or_intercept_is_told_with_its_path(dropout, fog, message):
     assert message in str(error.value) and len(str(error.value).splitlines()) <= 2
 
 
-def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere() -> None:
+def test_a_state_may_be_the_only_one_with_effects_and_verify_tests_it_there() -> None:
+    model = parse_detector(data_with({"anchor": "state_rate"}, {"distance_m": FOG}))
+    assert model.dropout.anchored and model.dropout.effects_of(0) == ()
+    used = {each.key: each for each in used_models(model)}["states.fog.dropout.distance_m"]
+    assert (used.name, used.state) == ("logistic", "fog")
+    frames, targets = scene(100)
+    own = run(data_with({}, {"distance_m": FOG}), frames, targets)
+    assert all_bytes(own) != all_bytes(run(detector_data(), frames, targets))
+    model = parse_detector(data_with({"size_px": SIZE}, {"distance_m": FOG}))
+    with pytest.raises(InputError, match=r"settings=\{.detector\.states\.fog\.dropout\.distance_m.: None\}$"):
+        check_needs(model, "detector", np.array([100.0, np.nan]), np.array([0.0, 1.0, -100.0]))
     frames, targets = scene()
     drawn = run(own_data(anchor="state_rate"), frames, targets)
     evidence = Evidence.of([CameraEvidence(frames, targets, drawn)])

@@ -171,7 +171,18 @@ BAD = [
 ]
 
 
-def test_nearly_all_confidences_may_be_clipped_and_every_bad_value_and_contradiction_is_told():
+@pytest.mark.parametrize("std", [0.05, 2, [0.05, 0.04, 0.1, 0.2]])
+def test_a_standard_deviation_is_short_for_a_covariance_in_whose_place_it_is(std: Any) -> None:
+    numbers = std if isinstance(std, list) else [std] * 4
+    short = parse_detector(changed(ERROR, {"unit": "relative", "std": std})).states[1].box_error
+    np.testing.assert_array_equal(short.covariance, np.diag([number**2 for number in numbers]))
+    assert short.mean.tolist() == [0] * 4
+    both = parse_detector(changed(f"{ERROR}.std", std)).states[1].box_error
+    np.testing.assert_array_equal(both.covariance, short.covariance)
+    assert both.mean.tolist() == list(build.MEAN_PX)
+
+
+def test_every_bad_value_is_told_and_singular_covariances_and_clipped_confidences_are_accepted():
     model = parse_detector(changed(SCORES, {"mean": 1.3, "std": 0.2}), "detector")
     assert model.states[1].confidence.true == NormalScores(1.3, 0.2)
     for path, value, message in BAD:
@@ -194,31 +205,6 @@ def test_nearly_all_confidences_may_be_clipped_and_every_bad_value_and_contradic
         *("false_positives.rate", "false_positives.band_px"),
         *("states.clear.false_discovery_rate", "states.fog.false_discovery_rate"),
     ]
-
-
-@pytest.mark.parametrize("std", [0.05, 2, [0.05, 0.04, 0.1, 0.2]])
-def test_a_standard_deviation_is_short_for_a_covariance_in_whose_place_it_is(std: Any) -> None:
-    numbers = std if isinstance(std, list) else [std] * 4
-    short = parse_detector(changed(ERROR, {"unit": "relative", "std": std})).states[1].box_error
-    np.testing.assert_array_equal(short.covariance, np.diag([number**2 for number in numbers]))
-    assert short.mean.tolist() == [0] * 4
-    both = parse_detector(changed(f"{ERROR}.std", std)).states[1].box_error
-    np.testing.assert_array_equal(both.covariance, short.covariance)
-    assert both.mean.tolist() == list(build.MEAN_PX)
-
-
-def test_something_that_is_no_mapping_or_no_file_is_refused_and_booleans_are_those_of_yaml(tmp_path):
-    for data in (None, [], "thesis", 3):
-        assert "must be a mapping with the keys labels" in problems(data)[0]
-    with pytest.raises(InputError, match=r"nothing\.yaml"):
-        load_detector(tmp_path / "nothing.yaml")
-    (tmp_path / "part.yaml").write_text("true: {mean: 0.7, std: 0.1}\nfalse: {mean: 0.4, std: 0.2}\n")
-    model = parse_detector(changed("states.fog.confidence", load_yaml(tmp_path / "part.yaml", "part")))
-    assert model.states[1].confidence.true == NormalScores(0.7, 0.1)
-    assert model.states[1].confidence.false.mean == 0.4  # type: ignore[attr-defined]
-
-
-def test_singular_covariances_are_accepted_and_a_model_holds_what_the_mapping_says_read_only():
     for covariance in (np.outer([1, 2, 3, 4], [1, 2, 3, 4]), np.zeros((4, 4))):
         data = changed("states.fog.box_error", build.box_error([0, 0, 0, 0], covariance))
         assert np.array_equal(parse_detector(data).states[1].box_error.covariance, covariance)
@@ -253,7 +239,7 @@ def load(name: str) -> DetectorModel:
     return load_detector(DETECTORS / f"{name}.yaml")
 
 
-def test_the_script_writes_every_detector_file_and_the_theses_hold_its_tables(tmp_path):
+def test_the_script_writes_every_detector_file_and_what_is_no_mapping_or_no_file_is_refused(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, ROOT / "script" / "make_detectors", tmp_path], check=True, env=environment)
     by_hand = {"coastal", "rich", "vessel"}
@@ -280,6 +266,14 @@ def test_the_script_writes_every_detector_file_and_the_theses_hold_its_tables(tm
     (state,) = load("experiment_1").states
     assert state.false_discovery_rate == 0.119
     assert state.box_error.covariance[1].tolist() == [1.6, 12.2, -0.2, -13.9]
+    for data in (None, [], "thesis", 3):
+        assert "must be a mapping with the keys labels" in problems(data)[0]
+    with pytest.raises(InputError, match=r"nothing\.yaml"):
+        load_detector(tmp_path / "nothing.yaml")
+    (tmp_path / "part.yaml").write_text("true: {mean: 0.7, std: 0.1}\nfalse: {mean: 0.4, std: 0.2}\n")
+    model = parse_detector(changed("states.fog.confidence", load_yaml(tmp_path / "part.yaml", "part")))
+    assert model.states[1].confidence.true == NormalScores(0.7, 0.1)
+    assert model.states[1].confidence.false.mean == 0.4  # type: ignore[attr-defined]
 
 
 def test_every_published_covariance_is_one() -> None:

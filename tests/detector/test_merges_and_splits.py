@@ -34,20 +34,6 @@ def near(count: int, trials: int, p: float) -> bool:
     return abs(count / trials - p) < 4 * np.sqrt(p * (1 - p) / trials)
 
 
-def test_duplicates_come_as_often_as_asked_with_errors_of_their_own() -> None:
-    covariance = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([9.0, 9, 4, 4]).tolist()}
-    targets, found = detect([LONG, SQUARE], {"duplicates": 0.1}, box_error=covariance)
-    second = found.kind == records.DUPLICATE
-    assert near(int(second.sum()), len(targets), 0.1)
-    own = np.full(len(targets), -1)
-    own[found.target[found.kind == records.TRUE]] = np.flatnonzero(found.kind == records.TRUE)
-    pairs = own[found.target[second]]
-    assert np.all(found.label[pairs] == found.label[second])
-    assert np.all(np.abs(np.cov(found.errors_px[second].T) - covariance["covariance"]) < 2)
-    correlation = np.corrcoef(found.errors_px[second][:, 0], found.errors_px[pairs][:, 0])[0, 1]
-    assert abs(correlation) < 4 / np.sqrt(second.sum())
-
-
 @pytest.mark.parametrize("rate", [0.2, 0.4])
 def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
     keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5}
@@ -61,7 +47,18 @@ def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
     assert parse_detector(thesis).merges_and_splits.duplicates == 0.1  # whose rule counts no second boxes
 
 
-def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
+def test_duplicates_come_as_often_as_asked_and_split_boxes_are_parts_of_a_long_vessels_box() -> None:
+    covariance = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([9.0, 9, 4, 4]).tolist()}
+    targets, found = detect([LONG, SQUARE], {"duplicates": 0.1}, box_error=covariance)
+    second = found.kind == records.DUPLICATE
+    assert near(int(second.sum()), len(targets), 0.1)
+    own = np.full(len(targets), -1)
+    own[found.target[found.kind == records.TRUE]] = np.flatnonzero(found.kind == records.TRUE)
+    pairs = own[found.target[second]]
+    assert np.all(found.label[pairs] == found.label[second])
+    assert np.all(np.abs(np.cov(found.errors_px[second].T) - covariance["covariance"]) < 2)
+    correlation = np.corrcoef(found.errors_px[second][:, 0], found.errors_px[pairs][:, 0])[0, 1]
+    assert abs(correlation) < 4 / np.sqrt(second.sum())
     targets, found = detect([LONG, SQUARE], {"splits": 0.2})
     split, fragment = (np.flatnonzero(found.kind == kind) for kind in (records.SPLIT, records.FRAGMENT))
     assert near(len(split), FRAMES, 0.2)
@@ -81,7 +78,7 @@ def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     assert (larger.tolist(), smaller.tolist()) == ([[0, 0, 4, 2]], [[4, 0, 8, 2]])
 
 
-def test_a_merged_box_counts_for_both_vessels_and_what_is_false_has_the_confidence_of_false_ones():
+def test_a_merged_box_counts_for_both_vessels_needs_overlap_and_is_not_split():
     targets, found = detect([*PAIR, SQUARE], {"merges": 0.3}, false_discovery_rate=0)
     merged = found.kind == records.MERGED
     assert near(int(merged.sum()), FRAMES, 0.3)
@@ -102,9 +99,6 @@ def test_a_merged_box_counts_for_both_vessels_and_what_is_false_has_the_confiden
     assert set(found.kind) == {*range(len(records.KINDS))} - {records.ON_VESSEL}
     assert np.array_equal(found.confidence == 0.4, found.false())
     assert np.array_equal(found.confidence == 0.8, ~found.false())
-
-
-def test_merges_need_overlap_are_not_split_and_gate_both_vessels():
     apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
     sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
     overlaps = ((PAIR, 0.51, 0.49), (sliver, 0.0051, 0.00499), (apart, 1e-6, None))

@@ -90,22 +90,6 @@ def _complete_runs(values: np.ndarray) -> np.ndarray:
     return lengths[0 if values[borders[0] + 1] else 1 :: 2]
 
 
-def test_a_miss_in_a_state_without_misses_is_impossible_and_rates_hold_in_states_that_change_fast():
-    states = build.detector_data()["states"]
-    states["clear"]["confusion"] = build.ALL_SEEN
-    states["fog"]["confusion"] = [[0, 0], [0, 0], [1, 1]]
-    result = detect(build.detector_data(states=states, persistence={"class_s": 100}), all_seen(300), 300, 0.1)
-    missed = (labels_over_time(result, 300) < 0).mean(axis=1)
-    assert np.array_equal(missed, result.states) and 0 < missed.mean() < 1
-    data = build.detector_data(transition_matrix=[[0.3, 0.7], [0.7, 0.3]], persistence={"class_s": 2})
-    result = detect(data, all_seen(3000), 3000, 0.1)
-    missed, kept = labels_over_time(result, 3000) < 0, np.exp(-0.1 / 2)
-    for state, rate in ((0, 0.2), (1, 0.4)):
-        ours = missed[result.states == state]
-        worth = 3000 * VESSELS * (1 - kept) / (1 + kept)
-        assert abs(ours.mean() - rate) < 4 * np.sqrt(rate * (1 - rate) / worth)
-
-
 def test_a_hidden_vessel_comes_back_with_its_noise_and_confidence_keeps_its_distribution_and_memory(step_s):
     data = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN)
     data |= {"persistence": {"class_s": 2, "box_s": 2}}
@@ -149,7 +133,20 @@ def test_confidence_that_persists_changes_nothing_else_and_without_memory_bytes_
     assert build.all_bytes(plain) == build.all_bytes(zero) == build.all_bytes(brief)
 
 
-def test_a_redraw_leaves_the_first_draws_of_other_steps_and_the_latent_numbers_alone() -> None:
+def test_a_miss_in_a_state_without_misses_is_impossible_and_a_redraw_leaves_other_draws_alone() -> None:
+    states = build.detector_data()["states"]
+    states["clear"]["confusion"] = build.ALL_SEEN
+    states["fog"]["confusion"] = [[0, 0], [0, 0], [1, 1]]
+    result = detect(build.detector_data(states=states, persistence={"class_s": 100}), all_seen(300), 300, 0.1)
+    missed = (labels_over_time(result, 300) < 0).mean(axis=1)
+    assert np.array_equal(missed, result.states) and 0 < missed.mean() < 1
+    data = build.detector_data(transition_matrix=[[0.3, 0.7], [0.7, 0.3]], persistence={"class_s": 2})
+    result = detect(data, all_seen(3000), 3000, 0.1)
+    missed, kept = labels_over_time(result, 3000) < 0, np.exp(-0.1 / 2)
+    for state, rate in ((0, 0.2), (1, 0.4)):
+        ours = missed[result.states == state]
+        worth = 3000 * VESSELS * (1 - kept) / (1 + kept)
+        assert abs(ours.mean() - rate) < 4 * np.sqrt(rate * (1 - rate) / worth)
     for keys in ({}, {"box_s": 2}):
         seen = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN) | {"persistence": keys}
         boxes = build.same_boxes(300, 1, build.centred(600, 600))
@@ -244,7 +241,7 @@ def test_rates_and_covariances_hold_over_vessels_and_a_part_of_every_correlation
         assert np.abs(products - (BOX_SHARE + (1 - BOX_SHARE) * kept)).max() < 0.1
 
 
-def test_misses_labels_and_confidences_have_their_chances_at_any_time_and_the_correlation_of_the_score() -> None:
+def test_misses_labels_and_confidences_have_their_chances_and_each_vessel_its_own_memory() -> None:
     frames, vessels = 40, 3000
     found = remembered(SCORE, seen(vessels, frames), frames)
     label = build.by_frame(found, found.label, frames, vessels, -1)
@@ -264,9 +261,6 @@ def test_misses_labels_and_confidences_have_their_chances_at_any_time_and_the_co
     lost, sure = missed[1:][~missed[:-1]], confidence[:-1][~missed[:-1]]
     shares = [lost[(sure > low) & (sure <= low + 0.14)].mean() for low in (0.25, 0.39, 0.53, 0.67, 0.81)]
     assert np.all(np.diff(shares) < 0) and shares[0] > 10 * shares[-1]
-
-
-def test_what_a_vessel_keeps_is_its_own_whoever_else_is_there_and_however_a_run_is_split() -> None:
     frames, targets = build.make_frames(MEMORY_FRAMES, time_step_s=STEP_S), seen(20)
     for data in (build.detector_data(persistence={"class_s": KEPT_S, **SHARES}), SCORE):
         detector = build.detector(data, 3, STEP_S)

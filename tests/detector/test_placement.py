@@ -33,7 +33,7 @@ def below(points: np.ndarray, sea: tuple[float, float, float]) -> np.ndarray:
     return (a * points[:, 0] + b * points[:, 1] + c) / np.hypot(a, b)
 
 
-def test_a_band_holds_all_of_them_evenly_and_the_density_halves_as_asked_in_both_ways():
+def test_a_band_holds_all_evenly_and_a_map_gives_each_cell_its_weight():
     for sea in (LEVEL, TILTED):
         found = places(Placement(band_px=120), sea)
         depth = false_positive_placement.depths_px(np.tile(sea, (len(found), 1)), found)
@@ -53,9 +53,6 @@ def test_a_band_holds_all_of_them_evenly_and_the_density_halves_as_asked_in_both
     assert below(still, TILTED).min() > -1e-6
     for axis in (0, 1):
         assert stats.ks_2samp(still[:, axis], plain[:, axis]).pvalue > 1e-4
-
-
-def test_a_map_gives_each_cell_its_weight_and_drift_follows_the_horizon_and_turns_at_the_edge():
     density = np.array([[0.0, 1.0, 3.0], [2.0, 0.0, 4.0]])
     found = places(Placement(density=density), LEVEL)
     assert not np.any(1024 * found % 1) and np.any(512 * found % 1)  # on the grid, and on no coarser one
@@ -89,7 +86,12 @@ def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6
 FIXED = {"model": "fixed", "px": [30, 20]}
 
 
-def test_an_empty_sea_has_false_alarms_at_their_rate_per_image_and_a_state_may_have_its_own() -> None:
+def inner_sizes(found: Detections) -> np.ndarray:
+    boxes = found.boxes_px[found.kind == FALSE_POSITIVE]
+    return sizes(boxes[np.all((boxes > 0) & (boxes < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)])
+
+
+def test_an_empty_sea_has_false_alarms_at_their_rate_and_sizes_are_as_asked() -> None:
     found = detect({"model": "per_image", "rate": 0.7, "size": FIXED}, vessels=0)
     counts = np.bincount(found.frame, minlength=3000)
     assert np.all(found.kind == FALSE_POSITIVE)
@@ -103,14 +105,6 @@ def test_an_empty_sea_has_false_alarms_at_their_rate_per_image_and_a_state_may_h
     for state, rate in ((0, 0.2), (1, 2.0)):
         ours = counts[found.states == state]
         assert abs(ours.mean() - rate) < 4 * np.sqrt(rate / len(ours))
-
-
-def inner_sizes(found: Detections) -> np.ndarray:
-    boxes = found.boxes_px[found.kind == FALSE_POSITIVE]
-    return sizes(boxes[np.all((boxes > 0) & (boxes < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)])
-
-
-def test_sizes_are_as_asked_and_many_places_at_once_those_of_each():
     fixed = inner_sizes(detect({"model": "calibrated", "size": FIXED}))
     np.testing.assert_allclose(fixed, np.tile([30.0, 20.0], (len(fixed), 1)))
     spread = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
@@ -149,25 +143,6 @@ def test_sizes_are_as_asked_and_many_places_at_once_those_of_each():
     np.testing.assert_allclose(moved[~free, 0], expected, atol=PLACE_STEP_PX)
 
 
-def test_levels_at_shares_are_those_of_interpolation_and_meet_a_polygon_where_a_line_does():
-    rng = np.random.default_rng(9)
-    weights, nodes, uniforms = rng.random((50, 20)), np.sort(rng.random((50, 20)), axis=1), rng.random(50)
-    uniforms[:2] = 0.0, 0.001
-    levels = false_positive_placement._inverse(weights, nodes, uniforms)
-    for found, weight, node, share in zip(levels, weights, nodes, uniforms, strict=True):
-        area = np.append(0, np.cumsum((weight[1:] + weight[:-1]) / 2 * np.diff(node)))
-        assert found == pytest.approx(np.interp(share, area / area[-1], node))
-    polygons = sea_polygons(np.array(HORIZONS[:4]), (800, 600))
-    levels = (0.0, 20.0, 150.0, 299.0, 590.0, 700.0)
-    lows, highs = false_positive_placement._slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))
-    for level, low, high in zip(levels, lows.T, highs.T, strict=True):
-        for row, corners in enumerate(polygons):
-            shape = shapely.Polygon(corners)
-            line = shapely.intersection(shape, shapely.LineString([(-1, level), (801, level)]))
-            left, _, right, _ = (shape if line.is_empty else line).bounds
-            assert (low[row], high[row]) == (pytest.approx(left), pytest.approx(right))
-
-
 SMALL_PX = (36, 24)
 
 
@@ -191,7 +166,23 @@ def test_sea_polygon_is_the_image_cut_by_the_half_plane(angle_rad: float, offset
     assert np.all(polygon @ [a, b] + c >= -1e-9) and np.all((polygon >= 0) & (polygon <= SMALL_PX))
 
 
-def test_without_sea_the_whole_image_is_used_and_sea_along_an_edge_puts_all_places_on_the_edge() -> None:
+def test_levels_at_shares_are_those_of_interpolation_and_without_sea_the_whole_image_is_used() -> None:
+    rng = np.random.default_rng(9)
+    weights, nodes, uniforms = rng.random((50, 20)), np.sort(rng.random((50, 20)), axis=1), rng.random(50)
+    uniforms[:2] = 0.0, 0.001
+    levels = false_positive_placement._inverse(weights, nodes, uniforms)
+    for found, weight, node, share in zip(levels, weights, nodes, uniforms, strict=True):
+        area = np.append(0, np.cumsum((weight[1:] + weight[:-1]) / 2 * np.diff(node)))
+        assert found == pytest.approx(np.interp(share, area / area[-1], node))
+    polygons = sea_polygons(np.array(HORIZONS[:4]), (800, 600))
+    levels = (0.0, 20.0, 150.0, 299.0, 590.0, 700.0)
+    lows, highs = false_positive_placement._slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))
+    for level, low, high in zip(levels, lows.T, highs.T, strict=True):
+        for row, corners in enumerate(polygons):
+            shape = shapely.Polygon(corners)
+            line = shapely.intersection(shape, shapely.LineString([(-1, level), (801, level)]))
+            left, _, right, _ = (shape if line.is_empty else line).bounds
+            assert (low[row], high[row]) == (pytest.approx(left), pytest.approx(right))
     for plane in ([0.0, 0, -1], [0.0, 1, -100], [1.0, 0, -40]):
         assert shapely.Polygon(sea_polygons(np.array([plane]), SMALL_PX)[0]).area == 36 * 24, plane
     edge = np.repeat([[0.0, 1.0, -24.0]], 50, axis=0)

@@ -31,18 +31,6 @@ def model(**changes: object) -> DetectorModel:
     return parse_detector(detector_data(**changes))
 
 
-def test_the_first_step_is_in_the_initial_state_and_transition_k_uses_the_kth_number_of_the_stream() -> None:
-    for seed in range(20):
-        assert sequence(model(initial_state="fog"), seed).at(make_frames(1)).tolist() == [1]
-    chain = model()
-    uniforms = Streams(5).uniforms(Purpose.STATE, first=0, count=5000)[:, 0]
-    state, slow = 0, [0]
-    for u in uniforms[1:]:
-        state = 0 if u < chain.transition_matrix[0, state] else 1
-        slow.append(state)
-    assert sequence(chain, seed=5).at(make_frames(5000)).tolist() == slow
-
-
 @pytest.fixture(scope="module")
 def whole() -> np.ndarray:
     return sequence(model()).at(make_frames(9010))
@@ -56,7 +44,16 @@ def test_states_are_the_same_in_whatever_order_they_are_asked_for(whole: np.ndar
         assert np.array_equal(part, whole[start : start + 10])
 
 
-def test_states_hold_between_multiples_of_the_interval_in_spite_of_rounding():
+def test_the_first_step_is_in_the_initial_state_and_states_hold_between_multiples_of_the_interval() -> None:
+    for seed in range(20):
+        assert sequence(model(initial_state="fog"), seed).at(make_frames(1)).tolist() == [1]
+    chain = model()
+    uniforms = Streams(5).uniforms(Purpose.STATE, first=0, count=5000)[:, 0]
+    state, slow = 0, [0]
+    for u in uniforms[1:]:
+        state = 0 if u < chain.transition_matrix[0, state] else 1
+        slow.append(state)
+    assert sequence(chain, seed=5).at(make_frames(5000)).tolist() == slow
     each_step = sequence(model()).at(make_frames(200))
     slower = sequence(model(transition_interval_s=0.3)).at(make_frames(600, time_step_s=0.1))
     assert np.array_equal(slower, np.repeat(each_step, 3))
@@ -78,7 +75,7 @@ def states_of(camera: str = "C0", frames: int = 3000, **changes: object) -> np.n
     return PerformanceStates(model(**changes), Streams(1)).at(make_frames(frames, camera))
 
 
-def test_a_schedule_forces_states_and_cameras_share_one_chain_unless_each_has_its_own():
+def test_a_schedule_forces_states_and_they_are_shared_as_their_rates_of_leaving():
     found = states_of(performance={"schedule": [[0, "clear"], [60, "fog"], [70, "clear"]]})
     times_s = make_frames(3000).times_s
     assert np.array_equal(found == 1, (times_s > 60 - 1e-6) & (times_s < 70 - 1e-6))
@@ -96,9 +93,6 @@ def test_a_schedule_forces_states_and_cameras_share_one_chain_unless_each_has_it
     both = PerformanceStates(model(performance={"scope": "per_camera"}), Streams(1))
     both.at(make_frames(500, "C0"))
     assert np.array_equal(both.at(make_frames(500, "C1")), two[:500])
-
-
-def test_states_are_shared_as_their_rates_of_leaving_or_if_left_for_ever_or_never_as_they_must_be():
     for matrix, shares in (
         ([[0.99, 0.05], [0.01, 0.95]], [5 / 6, 1 / 6]),  # left with 0.01 and with 0.05 a step: 5 to 1
         ([[0.5, 0.0], [0.5, 1.0]], [0, 1]),  # the second is never left

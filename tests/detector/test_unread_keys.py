@@ -161,7 +161,7 @@ def own_rates() -> dict[str, Any]:
     return data
 
 
-def test_an_unread_key_is_told_with_the_one_that_works() -> None:
+def test_an_unread_key_is_told_with_the_one_that_works_and_a_dead_line_where_it_stands() -> None:
     for data, key, value, works in (
         (two_states(), "confidence_threshold", 0.4, "detector.operating_threshold"),
         (two_states(**PER_IMAGE), "states.clear.false_discovery_rate", 0.6, "detector.false_positives.rate"),
@@ -179,9 +179,6 @@ def test_an_unread_key_is_told_with_the_one_that_works() -> None:
         set_data, _ = changed(data, key.split("."), Setting(f"detector.{key}", value), ("detector",))
         (reason,) = unread_settings(parse_detector(set_data), [key]).values() or [""]
         assert works in reason, key
-
-
-def test_a_dead_line_is_told_no_shipped_file_has_one_and_keys_beside_their_switch_are_not_refused():
     data = two_states(**PER_IMAGE)
     data["states"]["fog"] |= {"false_discovery_rate": 0.3}
     data["persistence"] = {"merge_s": 2}

@@ -142,7 +142,7 @@ def fix_s(line) -> int:
     return since - (since - line.message.second) % 60
 
 
-def test_the_log_is_in_order_without_truth_and_each_vessel_sends_as_its_class_does(log, vessels, out):
+def test_the_log_is_in_order_by_class_and_reports_lie_about_the_truth_as_noise_explains(log, vessels, out):
     times = [each.time_s for each in log]
     assert times == sorted(times)
     own = [each for each in positions(log) if each.own]
@@ -168,35 +168,7 @@ def test_the_log_is_in_order_without_truth_and_each_vessel_sends_as_its_class_do
     assert rows["canoe"] == {"vessel": "canoe", "ais_class": "none", "mmsi": "", "own_ship": "0"}
     assert (rows["own"]["ais_class"], rows["own"]["own_ship"], rows["sloop"]["ais_class"]) == ("A", "1", "B")
     assert rows["219000001"]["mmsi"] == "219000001"
-
-
-def test_vessels_send_as_often_as_they_should_and_tell_speed_course_and_turn_over_ground(log, vessels):
-    """Interval 3⅓ s, and 6 s twice, as far as nothing is lost; 500 s with a tenth of the reports lost."""
-    for name, interval in (("turner", 10 / 3), ("big ship", 6.0), ("219000001", 2.0)):
-        low, high = stats.binom.ppf([1e-4, 1 - 1e-4], round(STEPS / interval), 0.9)
-        assert low - 3 <= len(positions(log, vessels, name)) <= high + 1
-    assert 2 <= len(positions(log, vessels, "anchored")) <= 3
-    assert 11 <= len(positions(log, vessels, "sloop")) <= 17
-    seconds = np.array([fix_s(each) for each in positions(log, vessels, "visitor")])
-    assert (((seconds >= 60) & (seconds <= 200)) | ((seconds >= 300) & (seconds <= 430))).all()
-    assert (seconds < 200).sum() > 10 and (seconds >= 300).sum() > 10
-
-    def of(name, field):
-        return np.array([getattr(each.message, field) for each in positions(log, vessels, name)])
-
-    knots = np.sqrt(72) * 3600 / 1852
-    assert of("big ship", "speed").mean() == pytest.approx(knots, abs=0.1)
-    assert of("big ship", "course").mean() == pytest.approx(45, abs=0.5)
-    assert (of("anchored", "status") == 1).all() and (of("big ship", "status") == 0).all()
-    assert (of("anchored", "speed") < 3).all()
-    turn = of("turner", "turn")
-    assert np.median(turn) == pytest.approx(-60, abs=4)  # a degree a second to port
-    assert (of("own", "turn") == -128).all()  # too short for a gyrocompass
-    assert (of("sloop", "heading") == 511).all()
-
-
-def test_reports_lie_about_the_truth_as_far_as_the_noise_explains(log, vessels):
-    """Through the sides and the heading of a report, as a reader has to, from the antenna to the hull's centre."""
+    # Through the sides and the heading of a report, as a reader has to, from the antenna to the hull's centre
     truth, headings = tracks()
     column = {name: k for k, name in enumerate(SIZES)}
     sides = {s.mmsi: s.sides_m for s in stations(scene_of(), (0,))}
@@ -271,7 +243,29 @@ def test_what_is_lost_is_others_and_a_camera_ashore_has_no_own_ship(run):
     assert found and not any(each.own for each in found)
 
 
-def test_modsim3d_ais_reads_the_log_and_finds_the_tracks(out, vessels):
+def test_vessels_send_as_often_as_they_should_and_modsim3d_ais_finds_their_tracks(log, vessels, out):
+    """Interval 3⅓ s, and 6 s twice, as far as nothing is lost; 500 s with a tenth of the reports lost."""
+    for name, interval in (("turner", 10 / 3), ("big ship", 6.0), ("219000001", 2.0)):
+        low, high = stats.binom.ppf([1e-4, 1 - 1e-4], round(STEPS / interval), 0.9)
+        assert low - 3 <= len(positions(log, vessels, name)) <= high + 1
+    assert 2 <= len(positions(log, vessels, "anchored")) <= 3
+    assert 11 <= len(positions(log, vessels, "sloop")) <= 17
+    seconds = np.array([fix_s(each) for each in positions(log, vessels, "visitor")])
+    assert (((seconds >= 60) & (seconds <= 200)) | ((seconds >= 300) & (seconds <= 430))).all()
+    assert (seconds < 200).sum() > 10 and (seconds >= 300).sum() > 10
+
+    def of(name, field):
+        return np.array([getattr(each.message, field) for each in positions(log, vessels, name)])
+
+    knots = np.sqrt(72) * 3600 / 1852
+    assert of("big ship", "speed").mean() == pytest.approx(knots, abs=0.1)
+    assert of("big ship", "course").mean() == pytest.approx(45, abs=0.5)
+    assert (of("anchored", "status") == 1).all() and (of("big ship", "status") == 0).all()
+    assert (of("anchored", "speed") < 3).all()
+    turn = of("turner", "turn")
+    assert np.median(turn) == pytest.approx(-60, abs=4)  # a degree a second to port
+    assert (of("own", "turn") == -128).all()  # too short for a gyrocompass
+    assert (of("sloop", "heading") == 511).all()
     traffic = read_traffic([out / "ais.nmea"], Options(origin=ORIGIN))
     assert sum(traffic.dropped.values()) == traffic.dropped["particulars_only"]
     truth, headings = tracks()
@@ -318,7 +312,7 @@ def exported(scene: Scene, folder) -> list[Line]:
     return read((folder / "out" / "ais.nmea").read_bytes())
 
 
-def test_a_scene_in_which_nobody_sends_and_a_live_run_are_exported_as_any_other(tmp_path, monkeypatch):
+def test_nobody_sends_or_a_live_run_are_exported_and_a_log_has_one_own_ship(tmp_path, monkeypatch, capsys):
     nobody = {"vessels": dict.fromkeys(SIZES, "none")}
     assert not exported(scene_of(ais=nobody, steps=5), tmp_path / "nobody")
     assert (tmp_path / "nobody" / "out" / "ais.nmea").read_bytes() == b""
@@ -327,16 +321,13 @@ def test_a_scene_in_which_nobody_sends_and_a_live_run_are_exported_as_any_other(
     assert (own.message.speed, own.message.course, own.time_s) == (102.3, 360.0, EPOCH_S)
     text = "".join(live_lines(21)).encode()
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(text)))
-    run_scene(live_scene(tmp_path), tmp_path / "run")
-    opened = open_run(tmp_path / "run")
+    run_scene(live_scene(tmp_path), tmp_path / "live")
+    opened = open_run(tmp_path / "live")
     request = ExportRequest(opened, (0,))
-    write(request, tmp_path / "out")
-    found = read((tmp_path / "out" / "ais.nmea").read_bytes())
+    write(request, tmp_path / "sent")
+    found = read((tmp_path / "sent" / "ais.nmea").read_bytes())
     assert [fix_s(each) for each in positions(found) if each.own] == [0, 1, 2]
     assert notes(request) == ("the scene has no origin, so w1 = w2 = 0 is at latitude 0, longitude 0",)
-
-
-def test_a_log_has_one_own_ship(tmp_path, monkeypatch, capsys):
     other = camera_keys(400, 300, mount={"vessel": "turner", "position_m": [9, 0, 8]})
     cameras = {"bow": BOW, "other": other, "shore": SHORE}
     run_scene(scene_of(cameras=cameras, steps=3), tmp_path / "run")

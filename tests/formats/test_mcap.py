@@ -49,7 +49,7 @@ def truth(out) -> bags.Topics:
     return bags.read_with_rosbags(out / "truth")
 
 
-def test_both_readers_read_the_same_in_every_field_and_what_a_tracker_plays_names_own_ship_alone(out) -> None:
+def test_both_readers_read_the_same_in_every_field_and_metadata_is_what_humble_reads(out):
     for bag in ("detections", "truth"):
         by_rosbags, by_mcap = bags.read_with_rosbags(out / bag), bags.read_with_mcap_ros2(out / bag)
         assert by_rosbags.keys() == by_mcap.keys()
@@ -59,9 +59,25 @@ def test_both_readers_read_the_same_in_every_field_and_what_a_tracker_plays_name
     for name in (bags.FERRY, bags.KAYAK):
         assert name.encode() not in played and name[5:].encode() not in played
         assert name.encode() in bags.all_bytes(out / "truth")  # so that it would be found
+    # Humble takes profiles as one text, up to version 8; its play needs /tf_static latched
+    for bag, topics in (("detections", 10), ("truth", 4)):
+        about = yaml.safe_load((out / bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        assert about["version"] == 8 and about["storage_identifier"] == "mcap"
+        assert about["relative_file_paths"] == [f"{bag}.mcap"]
+        assert (about["compression_format"], about["compression_mode"]) == ("", "")
+        assert about["starting_time"]["nanoseconds_since_epoch"] == 0
+        assert about["duration"]["nanoseconds"] == 1_300_000_000
+        entries = [each["topic_metadata"] for each in about["topics_with_message_count"]]
+        assert len(entries) == topics
+        profiles = {each["name"]: each["offered_qos_profiles"] for each in entries}
+        assert all(isinstance(text, str) for text in profiles.values())
+        latched = yaml.safe_load(profiles.pop("/tf_static", "")) or []
+        found = [(each["durability"], each["reliability"], each["history"]) for each in latched]
+        assert found == ([(1, 1, 1)] if bag == "detections" else [])
+        assert set(profiles.values()) == {""}
 
 
-def test_topics_types_and_counts_and_camera_info_are_those_of_the_run_and_its_lens(out, tracker, truth, run):
+def test_topics_and_camera_info_are_those_of_the_run_and_detections_those_a_tracker_reads(out, tracker, truth, run):
     steps, slow = bags.STEPS, 5  # at 0.1, 0.4, 0.6, 0.9 and 1.1 s
     moving = {"/tf": steps, "/odom": steps, "/imu": steps, "/tf_static": 1}
     seen = {f"/{name}/{kind}": steps for name in (BOW, QUAY) for kind in ("camera_info", "detections")}
@@ -86,28 +102,6 @@ def test_topics_types_and_counts_and_camera_info_are_those_of_the_run_and_its_le
         assert np.array(found["p"]).reshape(3, 4).tolist() == [[*row, 0.0] for row in lens.matrix.tolist()]
         for info_message, boxes in zip(tracker[f"/{name}/camera_info"], tracker[f"/{name}/detections"], strict=True):
             assert info_message.content.header == boxes.content.header
-
-
-def test_metadata_is_what_humble_reads(out) -> None:
-    """Humble takes profiles as one text, up to version 8; its play needs /tf_static latched."""
-    for bag, topics in (("detections", 10), ("truth", 4)):
-        about = yaml.safe_load((out / bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-        assert about["version"] == 8 and about["storage_identifier"] == "mcap"
-        assert about["relative_file_paths"] == [f"{bag}.mcap"]
-        assert (about["compression_format"], about["compression_mode"]) == ("", "")
-        assert about["starting_time"]["nanoseconds_since_epoch"] == 0
-        assert about["duration"]["nanoseconds"] == 1_300_000_000
-        entries = [each["topic_metadata"] for each in about["topics_with_message_count"]]
-        assert len(entries) == topics
-        profiles = {each["name"]: each["offered_qos_profiles"] for each in entries}
-        assert all(isinstance(text, str) for text in profiles.values())
-        latched = yaml.safe_load(profiles.pop("/tf_static", "")) or []
-        found = [(each["durability"], each["reliability"], each["history"]) for each in latched]
-        assert found == ([(1, 1, 1)] if bag == "detections" else [])
-        assert set(profiles.values()) == {""}
-
-
-def test_detections_are_those_a_tracker_reads_and_truth_is_what_was_annotated(run, tracker, truth):
     count = 0
     for name, camera in FRAMES.items():
         lines = (run.folder / f"tracker_input_{camera}.jsonl").read_text().splitlines()
@@ -185,7 +179,7 @@ def turns(quaternions: list[Any]) -> Any:
     return bags.Rotation.from_quat([[q.x, q.y, q.z, q.w] for q in quaternions])
 
 
-def test_own_ship_is_that_of_the_table_with_the_covariances_of_its_inertial_unit(run, tracker) -> None:
+def test_own_ship_is_that_of_the_table_with_its_covariances_and_axes_are_those_of_rep_103(run, tracker):
     table = run.table("ownship").to_pydict()
     column = {name: np.array(table[name]) for name in table if name not in ("vessel", "timestamp")}
     odom, imu = ([m.content for m in tracker[topic]] for topic in ("/odom", "/imu"))
@@ -213,10 +207,7 @@ def test_own_ship_is_that_of_the_table_with_the_covariances_of_its_inertial_unit
     fixed = turns([m.pose.pose.orientation for m in odom]).as_matrix()
     np.testing.assert_allclose(fixed, turned[:, :3, :3], atol=1e-12)
     assert not any(m.pose.covariance.any() or m.twist.covariance.any() for m in odom)
-
-
-def test_axes_are_those_of_rep_103(run, tracker) -> None:
-    """x forward, y to port, z up; in an optical frame z forward, x right, y down; at rest +g is along z."""
+    # x forward, y to port, z up; in an optical frame z forward, x right, y down; at rest +g is along z
     frames = bags.Frames(tracker)
     map_T_base = frames.map_T("base_link", 1_000_000_000)
     heading = run.table("ownship")["heading_rad"].to_pylist()[10]
@@ -238,7 +229,22 @@ def test_the_same_run_gives_the_same_bytes_whatever_the_blocks(run, out, tmp_pat
     assert content(again) == content(out)
 
 
-def test_two_vessels_with_cameras_have_names_of_their_own(tmp_path) -> None:
+def test_one_camera_ashore_needs_no_own_ship_and_two_vessels_with_cameras_have_own_names(tmp_path, run):
+    texts = ["0", "0.1", "+.3", "1e0", "1.000000001", "1.0000000025", "1.0000000035", "1700000000.123456789"]
+    expected = [0, 10**8, 3 * 10**8, 10**9, 10**9 + 1, 10**9 + 2, 10**9 + 4, 1_700_000_000_123_456_789]
+    assert stamps_ns(texts, "scene").tolist() == expected
+    for text in ("-0.1", "2147483648", "1e300", "1e999999999999"):
+        with pytest.raises(InputError, match="ROS knows times from 0 to 2147483647 s"):
+            stamps_ns([text], "scene")
+    assert stamps_ns(["1e-999999999999"], "scene").tolist() == [0]
+    # Own ship's odometry is truth of a vessel that this camera looks for.
+    out = export(run, tmp_path, (2,))
+    tracker = bags.read_with_rosbags(out / "detections")
+    assert tracker.keys() == {"/quay/camera_info", "/quay/detections", "/tf_static"}
+    (static,) = tracker["/tf_static"]
+    (fixed,) = static.content.transforms
+    assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "quay_optical_frame")
+    assert check_projection(tracker, bags.read_with_rosbags(out / "truth")) > 5
     mounts = {"a": {"vessel": bags.OWN, "position_m": [6, 0, 6]}, "b": {"vessel": "pilot", "position_m": [3, 0, 4]}}
     cameras = {name: {**bags.LENS, "mount": mount} for name, mount in mounts.items()}
     poses = {"tracks": {bags.OWN: [[0, 0, 0], [9, 9, 0]], "pilot": [[0, 0, 50], [9, 9, 60]]}}
@@ -256,21 +262,3 @@ def test_two_vessels_with_cameras_have_names_of_their_own(tmp_path) -> None:
             np.testing.assert_allclose(found[:3, 3], place, atol=1e-9)
     alone = bags.read_with_rosbags(export(run, tmp_path / "one", (1,)) / "detections")
     assert {"/pilot/odom", "/pilot/imu"} < alone.keys() and "/own_ship/odom" not in alone
-
-
-def test_one_camera_ashore_needs_no_own_ship_and_times_keep_every_digit(run, tmp_path):
-    texts = ["0", "0.1", "+.3", "1e0", "1.000000001", "1.0000000025", "1.0000000035", "1700000000.123456789"]
-    expected = [0, 10**8, 3 * 10**8, 10**9, 10**9 + 1, 10**9 + 2, 10**9 + 4, 1_700_000_000_123_456_789]
-    assert stamps_ns(texts, "scene").tolist() == expected
-    for text in ("-0.1", "2147483648", "1e300", "1e999999999999"):
-        with pytest.raises(InputError, match="ROS knows times from 0 to 2147483647 s"):
-            stamps_ns([text], "scene")
-    assert stamps_ns(["1e-999999999999"], "scene").tolist() == [0]
-    # Own ship's odometry is truth of a vessel that this camera looks for.
-    out = export(run, tmp_path, (2,))
-    tracker = bags.read_with_rosbags(out / "detections")
-    assert tracker.keys() == {"/quay/camera_info", "/quay/detections", "/tf_static"}
-    (static,) = tracker["/tf_static"]
-    (fixed,) = static.content.transforms
-    assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "quay_optical_frame")
-    assert check_projection(tracker, bags.read_with_rosbags(out / "truth")) > 5

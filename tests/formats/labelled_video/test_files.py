@@ -44,7 +44,7 @@ def detected(folder: Path, text: str) -> tuple[list[dict[str, Any]], tuple[str, 
     return rows(folder / "out" / "truth.parquet"), result.notes
 
 
-def test_a_mot_sequence_comes_out_as_one_that_evaluators_find(tmp_path: Path) -> None:
+def test_mot_sequences_and_coco_results_come_out_as_their_evaluators_and_owners_read_them(tmp_path: Path) -> None:
     truth = mot(tmp_path / "bay")
     result = modsim3d.detect_truth(truth, tmp_path / "out", detector="thesis", seed=2)
     assert (tmp_path / "out" / "gt" / "gt.txt").read_bytes() == truth.read_bytes()
@@ -59,20 +59,17 @@ def test_a_mot_sequence_comes_out_as_one_that_evaluators_find(tmp_path: Path) ->
     sides = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
     asked = sorted((row["step"], [round(row[side], 2) for side in sides]) for row in table)
     assert np.allclose([box for _, box in found], [box for _, box in asked], atol=0.02)
-
-
-def test_coco_results_have_the_ids_of_the_file_and_its_owner_reads_them(tmp_path: Path) -> None:
     truth = write(tmp_path / "gt.json", coco(TWO))
-    modsim3d.detect_truth(truth, tmp_path / "out", detector="thesis", frame_rate_hz=5)
+    modsim3d.detect_truth(truth, tmp_path / "coco", detector="thesis", frame_rate_hz=5)
     with contextlib.redirect_stdout(io.StringIO()):
-        read = COCO(str(truth)).loadRes(str(tmp_path / "out" / "dt.json"))
-    entries = json.loads((tmp_path / "out" / "dt.json").read_text())
+        read = COCO(str(truth)).loadRes(str(tmp_path / "coco" / "dt.json"))
+    entries = json.loads((tmp_path / "coco" / "dt.json").read_text())
     assert {entry["category_id"] for entry in entries} == {4}
     assert {entry["image_id"] for entry in entries} <= set(range(100, 150))
-    assert len(read.anns) == len(entries) == len(rows(tmp_path / "out" / "detections.parquet")) > 100
-    assert len(read_coco("all", truth, tmp_path / "out" / "dt.json").results) == len(entries)
+    assert len(read.anns) == len(entries) == len(rows(tmp_path / "coco" / "detections.parquet")) > 100
+    assert len(read_coco("all", truth, tmp_path / "coco" / "dt.json").results) == len(entries)
     for name, frames in TWO.items():
-        lines = (tmp_path / "out" / f"tracker_input_{name}.jsonl").read_text().splitlines()
+        lines = (tmp_path / "coco" / f"tracker_input_{name}.jsonl").read_text().splitlines()
         assert [json.loads(line)["time_s"] for line in lines] == [frame / 5 for frame in range(frames)]
 
 
@@ -113,18 +110,7 @@ def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(tm
     assert (tmp_path / "one" / name).read_bytes() != (tmp_path / "three" / name).read_bytes()
 
 
-def test_detections_of_a_sequence_do_not_depend_on_how_the_file_lists_it(tmp_path: Path) -> None:
-    for order in (0, 1):
-        write(tmp_path / f"{order}.json", coco(TWO, order))
-        modsim3d.detect_truth(tmp_path / f"{order}.json", tmp_path / str(order), detector="thesis", frame_rate_hz=5)
-    same = ("detections.parquet", "truth.parquet", "tracker_input_left.jsonl", "tracker_input_right.jsonl")
-    for name in same:
-        assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "1" / name).read_bytes(), name
-    found = [(tmp_path / "0" / f"tracker_input_{name}.jsonl").read_text().splitlines()[0] for name in TWO]
-    assert found[0] != found[1]
-
-
-def test_flags_and_classes_of_mot_say_what_is_no_target(tmp_path: Path) -> None:
+def test_flags_and_classes_of_mot_say_what_is_no_target_and_visibility_where_it_comes_from(tmp_path: Path) -> None:
     truth = mot(tmp_path / "bay", frames=10, classes=(1, 2, 8))
     text = truth.read_text().replace(",60,1,2,", ",60,0,2,")
     truth.write_text(text)
@@ -141,9 +127,6 @@ def test_flags_and_classes_of_mot_say_what_is_no_target(tmp_path: Path) -> None:
     assert summary["class_numbers"] == {"sailboat": 8, "motorboat": 9, "ferry": 1}
     classes = {line.split(",")[7] for line in (tmp_path / "out" / "det" / "det.txt").read_text().splitlines()}
     assert classes <= {"8", "9", "1"} and len(classes) > 1
-
-
-def test_visibility_comes_from_the_file_or_from_overlap_and_the_result_says_which(tmp_path: Path) -> None:
     known = modsim3d.detect_truth(mot(tmp_path / "a", visible=",0.25"), tmp_path / "1", detector="thesis")
     assert known.occlusion == {"from_file": 120, "from_overlap": 0}
     assert {row["visible_fraction"] for row in rows(tmp_path / "1" / "truth.parquet")} == {0.25}
@@ -180,7 +163,15 @@ def test_boxes_are_cut_at_the_image_and_keys_below_detector_are_set_and_kept(tmp
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
 
 
-def test_what_an_earlier_result_had_does_not_stay_beside_a_new_one(tmp_path: Path) -> None:
+def test_detections_do_not_depend_on_the_order_of_the_file_and_an_earlier_result_does_not_stay(tmp_path: Path) -> None:
+    for order in (0, 1):
+        write(tmp_path / f"{order}.json", coco(TWO, order))
+        modsim3d.detect_truth(tmp_path / f"{order}.json", tmp_path / str(order), detector="thesis", frame_rate_hz=5)
+    same = ("detections.parquet", "truth.parquet", "tracker_input_left.jsonl", "tracker_input_right.jsonl")
+    for name in same:
+        assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "1" / name).read_bytes(), name
+    found = [(tmp_path / "0" / f"tracker_input_{name}.jsonl").read_text().splitlines()[0] for name in TWO]
+    assert found[0] != found[1]
     write(tmp_path / "gt.json", coco(TWO))
     modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "out", detector="thesis", frame_rate_hz=5)
     (tmp_path / "out" / "notes.txt").write_text("mine")
@@ -191,7 +182,7 @@ def test_what_an_earlier_result_had_does_not_stay_beside_a_new_one(tmp_path: Pat
     assert set(content(tmp_path / "out")) == {*kept, "notes.txt"}
 
 
-def test_false_alarms_stay_below_the_horizon_that_is_given(tmp_path: Path) -> None:
+def test_false_alarms_stay_below_the_horizon_and_time_begins_with_the_file(tmp_path: Path) -> None:
     truth = mot(tmp_path / "bay", frames=60)
     settings = {"detector.false_positives.model": "per_image", "detector.false_positives.rate": 3}
     heights = {}
@@ -206,9 +197,6 @@ def test_false_alarms_stay_below_the_horizon_that_is_given(tmp_path: Path) -> No
     assert (heights[300][:, 1] > 300).all()
     tilted = heights[(0, 300, 640, 200)]
     assert (tilted[:, 1] > 300 - 100 * tilted[:, 0] / 640 - 1).all() and (tilted[:, 1] < 300).any()
-
-
-def test_time_begins_with_the_file_and_tables_have_the_files_own(tmp_path: Path) -> None:
     schedule = {"detector.performance.schedule": [[2, "terrible"]], "detector.persistence.class_s": 1}
     for start_s in (0, 1_000_000):
         labelled = coco(TWO)
