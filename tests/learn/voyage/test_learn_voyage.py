@@ -43,26 +43,6 @@ def test_it_is_near_the_detector_that_is_learned_from_the_run(voyage: Path) -> N
     np.testing.assert_allclose(numbers(mine.content), numbers(theirs.content), rtol=2e-3, atol=1e-5)
 
 
-def test_registration_is_applied_to_the_camera_and_to_the_clock(strait: Scene, voyage: Path) -> None:
-    """With a wrong pitch most boxes are missed; what finds it is asked once for each camera."""
-    asked: list[tuple[str, int, int]] = []
-
-    def registrar(scene: Scene, log: CameraLog) -> Correction:
-        asked.append((scene.name, log.camera, len(log.time_s)))
-        return Correction(pitch_deg=2)
-
-    wrong = learned(strait, voyage, registration=registrar)
-    assert asked == [("strait", 0, 24)]
-    missed = [content["states"]["voyage"]["confusion"][-1][0] for content in (learned(strait, voyage), wrong)]  # type: ignore[index]
-    assert missed[0] < 0.3 < 0.5 < missed[1]
-    for given, said in (
-        ({"registration": Correction(yaw_deg=180)}, "nothing can be learned"),  # no vessel is seen
-        ({"registration": NO_CORRECTION, "known": "delay=2"}, "fixed and known are for a registration that is estim"),
-    ):
-        with pytest.raises(ModsimError, match=said):
-            learned(strait, voyage, **given)
-
-
 def test_the_command_learns_from_a_log_and_its_help_names_what_may_be_fixed(call: Call, voyage, tmp_path) -> None:
     out, scene = tmp_path / "detector.yaml", voyage / "run" / "scene" / "strait.json"
     line = ("learn-voyage", scene, "--fixed", "all", "--replicates", 20, "--out", out)
@@ -132,7 +112,25 @@ def test_hidden_parts_leave_box_errors_out_where_positions_are_not_surely_known(
     assert pairs.edges.whole[~hidden].any()
 
 
-def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Scene, voyage: Path) -> None:
+def test_registration_is_applied_to_camera_and_clock_and_boxes_match_by_centres_where_unsure(strait, voyage):
+    """With a wrong pitch most boxes are missed; what finds it is asked once for each camera."""
+    asked: list[tuple[str, int, int]] = []
+
+    def registrar(scene: Scene, log: CameraLog) -> Correction:
+        asked.append((scene.name, log.camera, len(log.time_s)))
+        return Correction(pitch_deg=2)
+
+    wrong = learned(strait, voyage, registration=registrar)
+    assert asked == [("strait", 0, 24)]
+    missed = [content["states"]["voyage"]["confusion"][-1][0] for content in (learned(strait, voyage), wrong)]  # type: ignore[index]
+    assert missed[0] < 0.3 < 0.5 < missed[1]
+    for given, said in (
+        ({"registration": Correction(yaw_deg=180)}, "nothing can be learned"),  # no vessel is seen
+        ({"registration": NO_CORRECTION, "known": "delay=2"}, "fixed and known are for a registration that is estim"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            learned(strait, voyage, **given)
+
     def matched_by(position_m: float, match: Method | None = None) -> str:
         found = learn_voyage(strait, voyage / "run", position_noise=position_m, match=match, **BOW)
         return found.report.matched_by.partition(" at")[0]

@@ -68,18 +68,6 @@ def coco(folder: Path, images: list[dict[str, object]], found: Sequence[object] 
     return read_log(folder / "log.json", LogOptions(**options))  # type: ignore[arg-type]
 
 
-def test_images_without_detections_are_frames_and_keep_their_times_beside_a_frame_rate(tmp_path: Path) -> None:
-    entry = {"id": 7, "file_name": "a.png", "width": 640, "height": 480, "date_captured": "2024-01-04 10:00:00"}
-    later = entry | {"id": 8, "date_captured": "2024-01-04T12:00:01.5+02:00"}
-    log = coco(tmp_path, [entry, later], [{"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}])
-    assert (log.clock, log.span) == (Clock.UTC, "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z")
-    assert (log.frame.tolist(), log.boxes_px.tolist()) == ([1], [[1, 2, 4, 6]])
-    assert np.isnan(log.confidence).all() and log.size_px.tolist() == [[640, 480]] * 2
-    images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
-    log = coco(tmp_path, images, frame_rate_hz=10)
-    assert (log.span, log.notes) == ("2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z", ())
-
-
 @pytest.mark.parametrize("captured", ["", 0, "2013-11-14 17:02:52", None])
 @pytest.mark.parametrize(("numbers", "times"), [((10, 13, 11), [1, 1.1, 1.3]), ((None, None, None), [0, 0.1, 0.2])])
 def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_path: Path, captured, numbers, times):
@@ -109,9 +97,17 @@ NUMBERED = ["000001.jpg", "000002.jpg", "000003.jpg"]
 BY_NAME = "its image_id are taken for the names of the images' files"
 
 
-def test_results_name_images_by_ids_or_by_files(tmp_path: Path) -> None:
-    """As detectors write them that do not know the IDs. Of numbered files the other reading moves all detections by one
-    frame."""
+def test_images_without_detections_are_frames_and_results_name_images_by_ids_or_files(tmp_path: Path) -> None:
+    entry = {"id": 7, "file_name": "a.png", "width": 640, "height": 480, "date_captured": "2024-01-04 10:00:00"}
+    later = entry | {"id": 8, "date_captured": "2024-01-04T12:00:01.5+02:00"}
+    log = coco(tmp_path, [entry, later], [{"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}])
+    assert (log.clock, log.span) == (Clock.UTC, "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z")
+    assert (log.frame.tolist(), log.boxes_px.tolist()) == ([1], [[1, 2, 4, 6]])
+    assert np.isnan(log.confidence).all() and log.size_px.tolist() == [[640, 480]] * 2
+    images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
+    log = coco(tmp_path, images, frame_rate_hz=10)
+    assert (log.span, log.notes) == ("2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z", ())
+    # As detectors write them that do not know the IDs. Of numbered files the other reading moves all by one frame.
     for files, given, frames, said in (
         (DAY_FILES, ["0002"], [2], BY_NAME),
         (DAY_FILES, ["0002.png"], [2], BY_NAME),
@@ -124,10 +120,7 @@ def test_results_name_images_by_ids_or_by_files(tmp_path: Path) -> None:
     ):
         log = frames_of_results(tmp_path, files, given)
         assert log.frame.tolist() == frames and said in " ".join(log.notes) and bool(said) == bool(log.notes), given
-
-
-def test_a_name_that_none_or_several_images_have_is_refused_and_one_beside_an_image_id_decides(tmp_path: Path) -> None:
-    """Not for the last of several: both cameras' boxes would be on its images."""
+    # Not for the last of several: both cameras' boxes would be on its images
     for files, given, said in (
         (DAY_FILES, ["other"], "unknown image_id 'other'"),
         (TWO_SIDES, ["0001", "0002"], r"\[0\]: unknown image_id '0001'"),
@@ -144,21 +137,11 @@ def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
     return path
 
 
-def test_corners_have_the_names_that_detectors_give_them_and_confidences_may_have_another_scale(tmp_path: Path) -> None:
-    for names in ("left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"):
-        log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
-        assert log.boxes_px.tolist() == [[1, 2, 30, 40]], names
-    path = table(tmp_path, "0,1,2,3,4,boat,50", "1,1,2,3,4,boat,75")
-    with pytest.raises(InputError, match="confidence_scale"):
-        read_log(path)
-    assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
-
-
 def boat_at(*times: float) -> list[str]:
     return [f"{time},1,2,3,4,boat,0.5" for time in times]
 
 
-def test_frames_without_detections_come_from_the_usual_gap_a_frame_rate_or_empty_boxes(tmp_path: Path) -> None:
+def test_frames_without_detections_come_from_the_usual_gap_and_parquet_is_read_as_csv_is(tmp_path: Path) -> None:
     log = read_log(table(tmp_path, *boat_at(0, 0.5, 1, 1.51, 2, 4, 4.5)))
     np.testing.assert_allclose(log.time_s, [0, 0.5, 1, 1.51, 2, 2.5, 3, 3.5, 4, 4.5])
     said = "usual gap between its times, 2 Hz: 3 without detections were added to 7, in gaps of up to 2 s"
@@ -171,9 +154,6 @@ def test_frames_without_detections_come_from_the_usual_gap_a_frame_rate_or_empty
         read_log(table(tmp_path, *boat_at(0, 1, 2.5, 3.2, 7, 8.45)))
     with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit frame_rate_hz=3"):
         read_log(table(tmp_path, *boat_at(0, 0.5, 1)), LogOptions(frame_rate_hz=3))
-
-
-def test_parquet_is_read_as_csv_is_also_times_with_a_zone(tmp_path: Path) -> None:
     seconds = pa.array([1704362400, 1704362401], pa.int64()).cast(pa.timestamp("s", tz="Europe/Oslo"))
     boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}
     named = {"camera": ["bow", "bow"], "label": ["ba\u030at", "b\u00e5t"]}
@@ -185,18 +165,14 @@ def test_parquet_is_read_as_csv_is_also_times_with_a_zone(tmp_path: Path) -> Non
         assert log.boxes_px.tolist() == [[1.5, 2, 4, 6], [2, 3, 5, 7]] and log.confidence.tolist() == [0.5, 0.25]
 
 
-def test_frames_that_lack_a_detection_and_cameras_that_are_named_here_and_there_are_refused(tmp_path, strait) -> None:
-    path = table(tmp_path, "1,2,3,40,50,boat,0.9,bow", "2,2,3,40,50,boat,0.9,", head=HEAD.strip() + ",camera\n")
-    with pytest.raises(InputError, match="some frames or detections name a camera and others do not"):
-        on_scene(read_log(path), strait, "bow")
-    log = tmp_path / "detections.csv"
-    log.write_text(HEAD + "1,2,3,40,50,boat,0.9\n2.0001,2,3,40,50,boat,0.9\n")
-    (tmp_path / "frames.csv").write_text("time_s\n1\n2\n")
-    with pytest.raises(InputError, match=r"lacks the time of 1 detection \(first 2.0001\)"):
-        read_log(log)
-
-
-def test_mot_begins_at_the_start_and_has_the_frame_rate(tmp_path: Path) -> None:
+def test_corners_have_the_names_that_detectors_give_them_and_mot_begins_at_the_start(tmp_path: Path) -> None:
+    for names in ("left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"):
+        log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
+        assert log.boxes_px.tolist() == [[1, 2, 30, 40]], names
+    path = table(tmp_path, "0,1,2,3,4,boat,50", "1,1,2,3,4,boat,75")
+    with pytest.raises(InputError, match="confidence_scale"):
+        read_log(path)
+    assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
     (tmp_path / "det.txt").write_text("1,-1,11,21,30,40,0.9,2\n4,-1,11,21,30,40,0.8,1\n")
     start = Start(5.0, Clock.STEP)
     log = read_log(tmp_path / "det.txt", LogOptions(frame_rate_hz=2, start=start, labels=("boat", "ship")))
@@ -306,7 +282,15 @@ def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
 UTC_ROW = "2024-01-04T10:00Z,1,2,3,4,boat,1"
 
 
-def test_a_log_that_does_not_fit_scene_or_options_is_refused(tmp_path: Path, strait: Scene) -> None:
+def test_frames_that_lack_a_detection_and_a_log_that_does_not_fit_the_scene_are_refused(tmp_path, strait):
+    path = table(tmp_path, "1,2,3,40,50,boat,0.9,bow", "2,2,3,40,50,boat,0.9,", head=HEAD.strip() + ",camera\n")
+    with pytest.raises(InputError, match="some frames or detections name a camera and others do not"):
+        on_scene(read_log(path), strait, "bow")
+    log = tmp_path / "detections.csv"
+    log.write_text(HEAD + "1,2,3,40,50,boat,0.9\n2.0001,2,3,40,50,boat,0.9\n")
+    (tmp_path / "frames.csv").write_text("time_s\n1\n2\n")
+    with pytest.raises(InputError, match=r"lacks the time of 1 detection \(first 2.0001\)"):
+        read_log(log)
     for row, given, said in (
         ("0,1,2,3,4,boats,1", {}, r"no label 'boats' \(did you mean 'boat'\?\)"),
         (UTC_ROW, {}, r"its times are UTC .* does not say when it starts"),

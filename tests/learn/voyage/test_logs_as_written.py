@@ -168,7 +168,7 @@ def test_results_of_old_and_new_vision_msgs_are_read_and_turned_boxes_refused(tm
     assert len(read_log(bag(tmp_path / "half turn", ("/bow/detections",), old=old, theta=np.pi)).frame) == 3
 
 
-def test_two_topics_of_one_camera_are_named_and_the_file_in_sqlite_stands_for_its_folder(tmp_path: Path) -> None:
+def test_two_topics_of_one_camera_and_boxes_whose_rows_are_counted_from_below_are_named(tmp_path: Path) -> None:
     for topics, camera in ((("/bow/detections", "/bow/filtered"), "'bow'"), (("/detections", "/filtered"), "null")):
         said = f"{topics[0]} and {topics[1]} are both of camera {camera}: give a bag with one"
         with pytest.raises(InputError, match=said):
@@ -178,9 +178,6 @@ def test_two_topics_of_one_camera_are_named_and_the_file_in_sqlite_stands_for_it
     (folder / "metadata.yaml").unlink()
     with pytest.raises(InputError, match=r"metadata\.yaml is missing beside it: give the whole folder of the bag"):
         read_log(folder / "bag.db3")
-
-
-def test_boxes_whose_rows_are_counted_from_below_are_named(tmp_path: Path) -> None:
     scene = load_scene(strait_scene(tmp_path / "scene"))
     found = Voyage.of(scene, "bow", {"clock_s": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}).detections(0)
     x_min, y_min, x_max, y_max = found.boxes_px.T

@@ -58,15 +58,6 @@ def recall(content: dict) -> float:
     return 1 - content["states"]["voyage"]["confusion"][-1][0]
 
 
-def test_empty_stretches_are_by_the_clock_of_the_log(learned: VoyageResult) -> None:
-    """The log ends 3.7 s before the scene, by its own clock; a stretch is what a user reads there."""
-    observed = learned.told.judged.observed
-    last = 59.8 - REALLY["clock_s"]
-    assert classify_unmatched(observed, (TimeSpan(last - 0.9, last + 9),)).empty.sum() == 5
-    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
-        classify_unmatched(observed, (TimeSpan(last + 0.5, 59.8),))
-
-
 def test_an_empty_stretch_outside_the_log_is_refused_before_registration(folder, tmp_path, call, monkeypatch) -> None:
     def never(*_: object) -> Correction:
         raise AssertionError("registered")
@@ -79,7 +70,13 @@ def test_an_empty_stretch_outside_the_log_is_refused_before_registration(folder,
     assert "no frame lies in it" in " ".join(refusal(call, (*line, "--out", tmp_path / "d.yaml")).split())
 
 
-def test_json_and_page_say_what_was_registered_covered_and_false_and_what_residuals_rest_on(learned) -> None:
+def test_empty_stretches_are_by_the_clock_of_the_log_and_page_and_json_say_what_was_registered(learned):
+    """The log ends 3.7 s before the scene, by its own clock; a stretch is what a user reads there."""
+    observed = learned.told.judged.observed
+    last = 59.8 - REALLY["clock_s"]
+    assert classify_unmatched(observed, (TimeSpan(last - 0.9, last + 9),)).empty.sum() == 5
+    with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
+        classify_unmatched(observed, (TimeSpan(last + 0.5, 59.8),))
     said = json.loads(orjson.dumps(voyage_json(learned.told)))
     (registration,) = said["registration"]
     parameters = {each["name"]: each for each in registration["parameters"]}
@@ -147,7 +144,7 @@ def test_a_detector_is_no_file_of_the_written_scene(call: Call, voyage: Path, tm
     assert "is a file of the scene: give --out another folder or name" in " ".join(said.split())
 
 
-def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call, folder: Path, tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_of_the_scene_and_a_file_that_exists_are_refused(call, folder, tmp_path):
     rows = np.loadtxt(folder / "bow.csv", delimiter=",", skiprows=1)
     times, boxes = rows[:, 0], rows[:, 1:]
     late = strait_logs.written(tmp_path / "late.csv", times + 3 * 3600, boxes)
@@ -168,10 +165,7 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
     short = strait_logs.written(tmp_path / "short.csv", np.zeros(1), np.array([[10.0, 500.0, 40.0, 520.0]]))
     with pytest.raises(InputError, match=r"^detections .*short\.csv, camera 'bow':\n +registration: too little"):
         learn_voyage(folder / "strait.json", short, camera="bow")
-
-
-def test_a_file_that_exists_is_refused_before_the_log_is_read(call: Call, folder: Path, tmp_path: Path) -> None:
-    """A registration may take minutes."""
+    # A registration may take minutes
     there = tmp_path / "d.uncertainty.json"
     there.write_text("mine")
     line = ("learn-voyage", folder / "strait.json", "--detections", folder / "none.csv", "--out", tmp_path / "d.yaml")
@@ -218,7 +212,7 @@ def written(log: Path, first: Registered) -> Path:
     return log.parent / "written"
 
 
-def test_a_second_registration_finds_nothing_and_without_one_the_clock_is_kept(log, first, written) -> None:
+def test_a_second_registration_finds_nothing_and_the_folder_is_a_scene_with_all_that_ais_knows(log, first, written):
     second, notes = registered(load_scene(written), log)
     assert any("s are added to its times of camera 'shore'" in note for note in notes)
     assert second.clock_s == first.registration.values["clock_s"] == pytest.approx(WRONG["clock_s"], abs=0.5)
@@ -231,9 +225,6 @@ def test_a_second_registration_finds_nothing_and_without_one_the_clock_is_kept(l
     assert noted["cameras"]["shore"]["clock_s"] == noted_clock_s(scene.path, "shore") != 0
     with pytest.raises(ModsimError, match="camera 'shore' was registered in several logs: join them, or give one"):
         scene_files(load_scene(log.parent / "ais"), [first, first], log.parent / "twice")
-
-
-def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path) -> None:
     was, now = load_scene(log.parent / "ais"), load_scene(written)
     assert (now.name, now.vessel_names) == ("written", was.vessel_names)
     np.testing.assert_array_equal(now.poses.poses(0, 9).positions_m, was.poses.poses(0, 9).positions_m)

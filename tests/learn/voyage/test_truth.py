@@ -35,18 +35,6 @@ def log(voyage: Path, strait: Scene) -> SceneLog:
     return on_scene(read_log(voyage / "run"), strait)
 
 
-def test_at_the_steps_of_a_scene_its_truth_is_that_of_a_run(log: SceneLog, labelled: LabelledSet) -> None:
-    """To the last bit, with waves, meshes, obstacles, and vessels that hide each other."""
-    found = labelled_voyage(log).labelled
-    for mine, theirs, names in (
-        (found.annotations, labelled.annotations, "image label boxes_px visible_fraction depth_m ignored crowd"),
-        (found.images, labelled.images, "sizes_px sequence source time_s half_planes"),
-    ):
-        for name in names.split():
-            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
-    assert (found.annotations.visible_fraction < 1).any()
-
-
 def test_between_two_steps_vessels_are_between_their_places(tmp_path: Path) -> None:
     crossed = load_scene(crossing(tmp_path, 40), source="analytic")
     step = float(crossed.times_s(0, 3)[1])
@@ -123,7 +111,7 @@ def test_a_clock_that_is_off_by_less_than_half_a_frame_loses_no_frame_and_others
     assert within_scene(FRAMES_S - 1e-9, 0.0, 0.8)[1].all()
 
 
-def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scene) -> None:
+def test_a_measured_attitude_takes_the_place_of_waves_and_its_yaw_is_added_to_its_heading(voyage, strait, tmp_path):
     calm = load_scene("strait", steps=24, settings={"waves.level": "none"})
     attitude = read_attitude(voyage / "csv" / "ownship.csv", calm)
     assert attitude.vessel == "own"
@@ -136,10 +124,7 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
     assert np.abs(still - rough).max() > 1e-3
     parquet = read_attitude(voyage / "run" / "ownship.parquet", calm)
     np.testing.assert_allclose(parquet.angles_rad, attitude.angles_rad, atol=1e-7)
-
-
-def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting(strait: Scene, tmp_path: Path) -> None:
-    """As that of a vessel that goes in circles does, in a run and in recorders."""
+    # As that of a vessel that goes in circles does, in a run and in recorders
     path, turns = tmp_path / "attitude.csv", 20 * math.pi
     for rows, heading, expected in (
         (f"{HEAD.strip()},yaw_rad\n0,0,0,0,0.1\n1,0,0,0,0.3\n", -3.0, 3.2 - 2 * math.pi),
@@ -152,7 +137,16 @@ def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting
     assert len(read_attitude(path, strait).time_s) == 46
 
 
-def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
+def test_at_the_steps_its_truth_is_that_of_a_run_and_frames_without_attitude_are_left_out(log, labelled, tmp_path):
+    """To the last bit, with waves, meshes, obstacles, and vessels that hide each other."""
+    found = labelled_voyage(log).labelled
+    for mine, theirs, names in (
+        (found.annotations, labelled.annotations, "image label boxes_px visible_fraction depth_m ignored crowd"),
+        (found.images, labelled.images, "sizes_px sequence source time_s half_planes"),
+    ):
+        for name in names.split():
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+    assert (found.annotations.visible_fraction < 1).any()
     path = tmp_path / "attitude.csv"
     path.write_text(HEAD + "".join(f"{time},0,0.01,0.02\n" for time in (1, 1.5, 2, 4.2, 4.6)))
     found = labelled_voyage(log, VoyageOptions(attitude=read_attitude(path, log.scene))).labelled
@@ -239,7 +233,7 @@ def ignored(scene: Scene, labelled: LabelledSet, mmsi: int, image: int) -> list[
     return rows.ignored[(rows.identity == vessel(scene, mmsi)) & (rows.image == image)].tolist()
 
 
-def test_a_scene_of_ais_knows_when_its_vessels_have_reported_if_it_is_not_older(scene: Scene, tmp_path: Path) -> None:
+def test_a_scene_of_ais_knows_when_vessels_have_reported_and_leaves_stale_ones_out(scene, tmp_path):
     found = read_reports(scene.path)
     assert found.start_s == 1704362400 and found.used_s[str(LYING)].tolist() == [0, 180, 360, 540, 720]
     assert found.jumps_s[str(JUMPING)].tolist() == [205] and not len(found.jumps_s[str(FRESH)])
@@ -250,10 +244,7 @@ def test_a_scene_of_ais_knows_when_its_vessels_have_reported_if_it_is_not_older(
     labelled = labelled_at(older, tmp_path, [200])
     assert any("has no report times beside it" in note for note in labelled.notes)
     assert ignored(older, labelled, STALE, 0) == [False]
-
-
-def test_vessels_are_left_out_while_their_ais_is_stale_jumps_or_is_off(scene: Scene, tmp_path: Path) -> None:
-    """The one that lies still has reported 90 s before the fourth frame, and after it."""
+    # The one that lies still has reported 90 s before the fourth frame, and after it
     labelled = labelled_at(scene, tmp_path, [50, 200, 207, 270, 400, 700])
     for mmsi, left_out in {FRESH: (), STALE: (1, 2), JUMPING: (1, 2), OFF: (1, 2, 3, 4), LYING: ()}.items():
         assert [ignored(scene, labelled, mmsi, k) for k in range(6)] == [[k in left_out] for k in range(6)], mmsi
@@ -262,22 +253,6 @@ def test_vessels_are_left_out_while_their_ais_is_stale_jumps_or_is_off(scene: Sc
     assert f"vessel '{JUMPING}' is left out of frames: its AIS is jumping in 2 of 6" in said
     assert f"vessel '{OFF}' is left out of frames: its AIS is off in 4 of 6" in said
     assert str(FRESH) not in said and str(LYING) not in said
-
-
-def test_a_vessel_that_is_left_out_is_neither_missed_nor_a_false_detection(scene: Scene, tmp_path: Path) -> None:
-    """Detections of a stale vessel and of one that is off, both beside their straight ways, and one of nothing."""
-    rows = labelled_at(scene, tmp_path, [200]).annotations
-    boxes = [rows.boxes_px[rows.identity == vessel(scene, mmsi)][0] for mmsi in (STALE, OFF)]
-    boxes.append(np.array([100.0, 100.0, 120.0, 110.0]))
-    found = [  # the regions are some 60 m, 80 px, wider than the vessels at both sides
-        f"2024-01-04T10:03:20Z,{left + 10},{(top + bottom) / 2},{left + 30},{bottom - 2},Vessel,0.9"
-        for left, top, right, bottom in boxes
-    ]
-    assert all(right - left > 130 for left, _, right, _ in boxes[:2])
-    labelled = labelled_at(scene, tmp_path, [], *found)
-    matched = match(labelled, Rule())
-    assert matched.counts.sum() == 1 and matched.false.tolist() == [int(np.argmin(labelled.results.boxes_px[:, 1]))]
-    assert matched.sought.sum() == 3  # the fresh one, the one that lies still and the slow one
 
 
 def test_a_vessel_is_left_out_just_before_its_first_report_and_just_after_its_last(tmp_path: Path) -> None:
@@ -301,18 +276,21 @@ def test_a_vessel_is_left_out_just_before_its_first_report_and_just_after_its_la
     assert f"1 vessel is left out of frames {around}" in said and "its AIS is" not in said
 
 
-def test_a_vessel_that_has_jumped_is_not_moved_on(tmp_path: Path) -> None:
-    strait = load_scene("strait", steps=6)
-    poses = strait.poses.poses(0, 6)
-    present, places = poses.present.copy(), poses.positions_m.copy()
-    present[3:, 1], places[2, 1] = False, places[1, 1] + 500.0
-    jumped = replace(strait, poses=RecordedPoses(strait.poses.timestamps, Poses(present, places, poses.headings_rad)))
-    known = ReportAge(jumped, None).at(jumped.times_s(0, 6))
-    np.testing.assert_array_equal(known.guessed.positions_m[3:5, 1], places[[2, 2], 1])
-
-
-def test_slow_vessels_have_three_minutes_and_the_limit_is_an_option(scene: Scene, tmp_path: Path) -> None:
-    """Transponders of slow vessels report every three minutes; the nearest report may be before or after."""
+def test_a_vessel_left_out_is_neither_missed_nor_false_and_slow_ones_have_three_minutes(scene, tmp_path):
+    """Detections of a stale vessel and of one that is off, both beside their straight ways, and one of nothing."""
+    rows = labelled_at(scene, tmp_path, [200]).annotations
+    boxes = [rows.boxes_px[rows.identity == vessel(scene, mmsi)][0] for mmsi in (STALE, OFF)]
+    boxes.append(np.array([100.0, 100.0, 120.0, 110.0]))
+    found = [  # the regions are some 60 m, 80 px, wider than the vessels at both sides
+        f"2024-01-04T10:03:20Z,{left + 10},{(top + bottom) / 2},{left + 30},{bottom - 2},Vessel,0.9"
+        for left, top, right, bottom in boxes
+    ]
+    assert all(right - left > 130 for left, _, right, _ in boxes[:2])
+    labelled = labelled_at(scene, tmp_path, [], *found)
+    matched = match(labelled, Rule())
+    assert matched.counts.sum() == 1 and matched.false.tolist() == [int(np.argmin(labelled.results.boxes_px[:, 1]))]
+    assert matched.sought.sum() == 3  # the fresh one, the one that lies still and the slow one
+    # Transponders of slow vessels report every three minutes; the nearest report may be before or after
     labelled = labelled_at(scene, tmp_path, [159, 161, 239, 241])
     assert [ignored(scene, labelled, STALE, image) for image in range(4)] == [[False], [True], [True], [False]]
     assert ignored(scene, labelled_at(scene, tmp_path, [90]), SLOW, 0) == [False]
@@ -340,8 +318,15 @@ def test_a_region_covers_the_vessel_wherever_it_may_be(scene: Scene, tmp_path: P
     assert region[3] - box[3] < 8  # and is not much larger
 
 
-def test_vessels_that_overlap_by_their_positions_are_left_out_where_their_order_is_unknown(tmp_path: Path) -> None:
-    """Two that lie alongside, 4 m apart and 8 m wide; they are seen, so their detections are no false positives."""
+def test_a_vessel_that_has_jumped_is_not_moved_on_and_those_that_overlap_are_left_out(tmp_path: Path) -> None:
+    strait = load_scene("strait", steps=6)
+    poses = strait.poses.poses(0, 6)
+    present, places = poses.present.copy(), poses.positions_m.copy()
+    present[3:, 1], places[2, 1] = False, places[1, 1] + 500.0
+    jumped = replace(strait, poses=RecordedPoses(strait.poses.timestamps, Poses(present, places, poses.headings_rad)))
+    known = ReportAge(jumped, None).at(jumped.times_s(0, 6))
+    np.testing.assert_array_equal(known.guessed.positions_m[3:5, 1], places[[2, 2], 1])
+    # Two that lie alongside, 4 m apart and 8 m wide; they are seen, so their detections are no false positives
     rows = [
         row(time, 56 + north_m / LATITUDE_M, 12 + 800 / LONGITUDE_M, 0, 90, 90, mmsi, 70, 30, 8)
         for time in range(0, LAST_S + 1, 10)

@@ -120,7 +120,7 @@ def noise_of(scene, position_m, **parameters):
     return TruthNoise(np.tile([given.get(name, 0.0) for name in PARAMETERS], (len(scene.vessels), 1)), LASTING_S, {})
 
 
-def test_derivatives_are_those_of_the_projects_own_outlines(watched):
+def test_derivatives_are_those_of_the_outlines_and_draws_have_the_covariance_of_independent_errors(watched):
     (scene, view, _), rng = watched, np.random.default_rng(0)
     boxes = boxes_of(scene, view, view.poses)
     rows = np.nonzero(np.isfinite(boxes).all(axis=-1))
@@ -138,9 +138,6 @@ def test_derivatives_are_those_of_the_projects_own_outlines(watched):
     inside = np.isfinite(again).all(axis=1)
     expected = jacobians[inside][..., 3] * 0.4 + jacobians[inside][..., 5] * 0.2
     np.testing.assert_allclose(errors_between(again, boxes[rows])[inside], expected, atol=0.01)
-
-
-def test_draws_have_the_covariance_of_independent_errors_where_these_are(watched):
     scene, rng, count = watched[0], np.random.default_rng(1), 3000
     jacobians = rng.normal(size=(count, 4, len(PARAMETERS)))
     fleeting = replace(noise_of(scene, 2.0, heading=0.1), position_s=1e-3)
@@ -156,23 +153,7 @@ def test_draws_have_the_covariance_of_independent_errors_where_these_are(watched
     assert np.abs(one.covariances(20, 0)).max() < 1e-3
 
 
-def test_of_a_vessel_that_was_put_in_its_place_only_what_changes_is_left(watched):
-    scene, view, times = watched
-    frame, vessel = (each.ravel() for each in np.mgrid[: len(times), : len(scene.vessels)])
-    jacobians = box_jacobians(scene, view, frame, vessel)
-    told = np.isfinite(jacobians).all(axis=(1, 2))
-    columns = jacobians[told], times[frame[told]], vessel[told]
-    ones, still = np.ones((int(told.sum()), 4)), np.full(int(told.sum()), -1)
-    wide = noise_of(scene, 10.0, antenna_along=20.0, antenna_across=5.0)
-    std = [
-        [np.sqrt(np.diag(TruthErrors(*columns, noise, ones, fit).covariances(20, 0).mean(axis=0)))[0] for fit in fits]
-        for noise, fits in ((replace(wide, position_s=1e9), (still, vessel[told])), (wide, (still, vessel[told])))
-    ]
-    assert std[0][1] < 0.02 * std[0][0]  # what never changes was found
-    assert 0.2 * std[1][0] < std[1][1] < 0.9 * std[1][0]
-
-
-def test_intervals_hold_the_detectors_errors_and_the_plain_ones_do_not(watched):
+def test_intervals_hold_the_detectors_errors_and_an_upper_bound_is_the_learned_covariance(watched):
     scene, view, _ = watched
     held, plain, taken = np.zeros(4), np.zeros(4), np.zeros(4)
     for seed in range(SEEDS):
@@ -187,9 +168,6 @@ def test_intervals_hold_the_detectors_errors_and_the_plain_ones_do_not(watched):
         assert found.states[0].at_least[0] < 1.3 * STD_PX[0]
     assert (held >= 16).all()  # of 20, of which each holds with a chance of 95 %: fewer by chance once in 390 times
     assert taken[1:].tolist() == [SEEDS] * 3 and plain[0] == 0 <= plain[2] < 10
-
-
-def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     scene, view, _ = watched
     labelled = noisy_set(*watched, std_px=np.array([0.5, 2.0, 2.0, 2.0]))
     learned = learned_from(labelled, 40)
@@ -209,7 +187,20 @@ def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     assert any(said.endswith("correlations with it are unknown") for said in found.sentences())
 
 
-def test_a_vessel_that_two_logs_have_moved_is_one_and_without_known_pairs_or_noise_nothing_is_taken_off(watched):
+def test_of_a_vessel_put_in_its_place_only_what_changes_is_left_and_two_logs_move_it_once(watched):
+    scene, view, times = watched
+    frame, vessel = (each.ravel() for each in np.mgrid[: len(times), : len(scene.vessels)])
+    jacobians = box_jacobians(scene, view, frame, vessel)
+    told = np.isfinite(jacobians).all(axis=(1, 2))
+    columns = jacobians[told], times[frame[told]], vessel[told]
+    ones, still = np.ones((int(told.sum()), 4)), np.full(int(told.sum()), -1)
+    wide = noise_of(scene, 10.0, antenna_along=20.0, antenna_across=5.0)
+    std = [
+        [np.sqrt(np.diag(TruthErrors(*columns, noise, ones, fit).covariances(20, 0).mean(axis=0)))[0] for fit in fits]
+        for noise, fits in ((replace(wide, position_s=1e9), (still, vessel[told])), (wide, (still, vessel[told])))
+    ]
+    assert std[0][1] < 0.02 * std[0][0]  # what never changes was found
+    assert 0.2 * std[1][0] < std[1][1] < 0.9 * std[1][0]
     scene, view, times = watched
     labelled, off = noisy_set(*watched), noise_of(scene, 10.0)
     learned = learned_from(labelled)
@@ -272,7 +263,7 @@ def test_errors_that_last_come_back_with_their_time(roads):
     assert any("box_s: an upper bound" in said for said in quick.sentences())
 
 
-def test_wrong_matches_do_not_pull_and_one_component_far_from_the_law_leaves_the_others_as_measured(exact):
+def test_wrong_matches_do_not_pull_and_mixed_errors_lose_the_mean_covariance_of_truth(exact):
     errors, sides = exact
     noise = every_row(np.diag([4.0, 0.5, 0.5, 0.5]))
     measured = every_row(np.diag(0.99 * errors.std.estimate) ** 2)
@@ -289,9 +280,6 @@ def test_wrong_matches_do_not_pull_and_one_component_far_from_the_law_leaves_the
     # Wide tails of a law are no errors of the detector.
     noise, measured = (every_row(np.diag(share * errors.std.estimate**2)) for share in (0.8, 0.7))
     assert less(errors, noise, sides).taken_off.any() and not less(errors, noise, sides, measured).taken_off.any()
-
-
-def test_mixed_errors_lose_the_mean_covariance_of_truth(exact):
     errors, sides = exact[0], np.random.default_rng(0).uniform(20, 200, (500, 4))
     growth = replace(errors.std, column=replace(errors.std.column, values=0.02 + 0 * errors.std.column.values))
     mixed = replace(errors, unit="mixed", growth=growth)
