@@ -130,7 +130,7 @@ def test_a_plugin_that_draws_nonsense_is_named(write: Write, monkeypatch: pytest
             load_scene(write(poses={"wrong": {}}))
 
 
-def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Write, tmp_path: Path) -> None:
+def test_a_run_is_repeated_from_its_copy_and_not_opened_where_its_seed_draws_others(write, tmp_path, monkeypatch):
     (tmp_path / "own.glb").write_bytes(shipped_meshes()["ferry"].read_bytes())
     convoy = {"entries": {"ferry": OWN | {"mesh": "own.glb"}}, "files_named": ["own.glb"]}
     path = write(convoy, annotation={"mode": 2, "source": "analytic"})
@@ -142,10 +142,7 @@ def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Writ
     second = run_scene(load_scene(stored.path), tmp_path / "second")
     assert (second.folder / "truth.parquet").read_bytes() == (first.folder / "truth.parquet").read_bytes()
     assert load_scene(stored.path, seed=3).vessel_names == ("own", "drawn_0", "drawn_1", "drawn_2", "ferry")
-
-
-def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(write: Write, tmp_path: Path, monkeypatch) -> None:
-    """As with a later version of the source: the run's tables are not of these vessels."""
+    # As with a later version of the source: the run's tables are not of these vessels
     scene = load_scene(write(annotation={"mode": 2, "source": "analytic"}), seed=2)
     folder = run_scene(scene, tmp_path / "run").folder
     assert open_run(folder).scene.drawn_vessels == 2

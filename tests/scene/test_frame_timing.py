@@ -95,16 +95,12 @@ def finished(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("detector", ["thesis", "rich"])
-def test_a_slow_cameras_frames_are_those_of_a_fast_one_at_these_steps(tmp_path, detector):
+def test_a_slow_cameras_frames_are_those_of_a_fast_one_and_blocks_change_nothing(tmp_path, detector, monkeypatch):
     slow = load_scene(rig(tmp_path / "slow", detector=detector, C0={"frame_rate_hz": 2.5}, C1={}))
     fast = load_scene(rig(tmp_path / "fast", detector=detector, C0={}, C1={}))
     taken = set(slow.frame_steps(slow.cameras[0], 0, STEPS).tolist())
     expected = [frame for frame in simulate_frames(fast) if frame.camera == "C1" or frame.step in taken]
     assert_same_frames(simulate_frames(slow), expected, atol=0)
-
-
-@pytest.mark.parametrize("detector", ["thesis", "rich"])
-def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector):
     cameras = {"C0": {"frame_rate_hz": 2.5, "start_offset_s": 1.0}, "C1": {"frame_rate_hz": 4, "start_offset_s": 0.7}}
     scene = load_scene(rig(tmp_path, detector=detector, **cameras))
     run_scene(scene, tmp_path / "whole")
@@ -113,7 +109,7 @@ def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector)
     assert run_files(tmp_path / "single") == run_files(tmp_path / "whole")
 
 
-def test_a_cameras_files_hold_its_own_frames_with_the_times_of_those_before(finished):
+def test_a_cameras_files_hold_its_own_frames_and_films_and_reports_show_the_last_one_once(finished, tmp_path):
     run = open_run(finished)
     assert_same_frames(run.frames(), simulate_frames(run.scene))
     scene = open_run(finished).scene
@@ -131,9 +127,6 @@ def test_a_cameras_files_hold_its_own_frames_with_the_times_of_those_before(fini
     counts = json.loads((finished / "run.json").read_text())["counts"]
     assert counts["frames"] == STEPS + len(SLOW)
     assert counts["detected"] == sum(row["n_detected"] for row in frames)
-
-
-def test_films_and_reports_show_the_last_frame_that_a_camera_took_once(finished, tmp_path):
     run = open_run(finished)
     for first in (0, 7, 9, 20):
         for shown in select(run, (0, 1), from_s=first / 10).step_frames():

@@ -114,7 +114,29 @@ def test_an_interrupted_run_of_it_goes_on_and_it_keeps_nothing_of_the_callers(tm
     assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
 
 
-def test_columns_may_be_in_any_order_and_names_and_numbers_come_back_to_the_last_bit(tmp_path):
+@pytest.mark.parametrize("dtype", [np.float32, np.int64, np.uint8])
+def test_arrays_of_any_kind_of_number_will_do(dtype):
+    data = good()
+    data["poses"]["positions_m"] = np.ones((4, 2, 2), dtype=dtype) * np.array([[1, 2], [30, 4]], dtype=dtype)
+    data["poses"]["headings_rad"] = np.ones((4, 2), dtype=dtype)
+    scene = Scene.from_dict(data)
+    assert scene.steps == 4 and scene.poses.poses(0, 4).positions_m[3].tolist() == [[1, 2, 0], [30, 4, 0]]
+
+
+def test_columns_may_be_in_any_order_and_what_the_caller_sets_replaces_what_stands_there(tmp_path):
+    scene = Scene.from_dict(good(), seed=9, steps=np.int64(2), mode=0, source="rectangles", detector=THESIS,
+                            detector_seed=4)  # fmt: skip
+    assert (scene.seed, scene.steps, scene.detector_seed, len(scene.detector.states)) == (9, 2, 4, 4)
+    assert (scene.annotation.mode, scene.annotation.source) == (0, "rectangles")
+    assert settings_of(scene, "none")["seed"] == 9
+    with pytest.raises(InputError) as error:
+        Scene.from_dict({**good(), "annotation": 7}, mode=1)
+    assert error.value.problems[1].startswith("annotation: a mapping of keys is needed: mode, source, ")
+    file = yaml.safe_load(load_scene("simulation_1").path.read_text()) | {"annotation": 7, "detector": "thesis"}
+    (tmp_path / "traffic.json").write_text(json.dumps(file))
+    with pytest.raises(InputError) as of_file:
+        load_scene(tmp_path / "traffic.json", mode=1)
+    assert error.value.problems == of_file.value.problems
     run_scene(Scene.from_dict(good()), tmp_path / "plain")
     poses = good()["poses"]
     flat, headings = poses["positions_m"][:, ::-1], poses["headings_rad"][:, ::-1].tolist()
@@ -142,31 +164,6 @@ def test_columns_may_be_in_any_order_and_names_and_numbers_come_back_to_the_last
         np.testing.assert_array_equal(poses.headings_rad, np.nan_to_num(headings))
     np.testing.assert_array_equal(again.times_s(0, 50), scene.times_s(0, 50))
     assert again.timestamps(0, 50) == scene.timestamps(0, 50) and again.sha256 == scene.sha256
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.int64, np.uint8])
-def test_arrays_of_any_kind_of_number_will_do(dtype):
-    data = good()
-    data["poses"]["positions_m"] = np.ones((4, 2, 2), dtype=dtype) * np.array([[1, 2], [30, 4]], dtype=dtype)
-    data["poses"]["headings_rad"] = np.ones((4, 2), dtype=dtype)
-    scene = Scene.from_dict(data)
-    assert scene.steps == 4 and scene.poses.poses(0, 4).positions_m[3].tolist() == [[1, 2, 0], [30, 4, 0]]
-
-
-def test_what_the_caller_sets_replaces_what_stands_there(tmp_path):
-    scene = Scene.from_dict(good(), seed=9, steps=np.int64(2), mode=0, source="rectangles", detector=THESIS,
-                            detector_seed=4)  # fmt: skip
-    assert (scene.seed, scene.steps, scene.detector_seed, len(scene.detector.states)) == (9, 2, 4, 4)
-    assert (scene.annotation.mode, scene.annotation.source) == (0, "rectangles")
-    assert settings_of(scene, "none")["seed"] == 9
-    with pytest.raises(InputError) as error:
-        Scene.from_dict({**good(), "annotation": 7}, mode=1)
-    assert error.value.problems[1].startswith("annotation: a mapping of keys is needed: mode, source, ")
-    file = yaml.safe_load(load_scene("simulation_1").path.read_text()) | {"annotation": 7, "detector": "thesis"}
-    (tmp_path / "traffic.json").write_text(json.dumps(file))
-    with pytest.raises(InputError) as of_file:
-        load_scene(tmp_path / "traffic.json", mode=1)
-    assert error.value.problems == of_file.value.problems
 
 
 def test_files_of_the_mapping_are_relative_to_the_working_directory(tmp_path, monkeypatch):

@@ -77,27 +77,6 @@ def box_of(scene: Scene) -> list[float]:
     return box
 
 
-def test_a_box_is_where_a_hand_calculation_has_it_and_a_field_of_view_between_the_images_sides(tmp_path):
-    """The near side is at 95 m, 2 m to either side, 5 m down at the water; the far edge of the top is at 105 m and 2 m
-    down. OpenCV counts from the centre of the first pixel, so 310 is 310.5 pixels from the edge of the image."""
-    view = {"hfov_deg": 2 * math.degrees(math.atan(0.4))}  # 320 / 800
-    tall = {"vfov_deg": 2 * math.degrees(math.atan(0.3))}  # 240 / 800
-    for lens, (fx, fy), (x, y) in (
-        ({"K": K}, (800, 790), (310.5, 230.5)),
-        ({"focal_px": [800, 790], "principal_point_px": None}, (800, 790), (320, 240)),
-        ({"focal_px": [800, 790], "principal_point_px": [310, 230]}, (800, 790), (310, 230)),
-        ({"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5]}, (800, 800), (320, 240)),
-        (view, (800, 800), (320, 240)),
-        (tall, (800, 800), (320, 240)),
-    ):
-        by_hand = [x - fx * 2 / 95, y + fy * 2 / 105, x + fx * 2 / 95, y + fy * 5 / 95]
-        np.testing.assert_allclose(box_of(scene_with(tmp_path, {**SIZE, **lens})), by_hand, atol=1e-3)
-    for degrees in (5.0, 60.0, 90.0, 120.0):
-        scene = scene_with(tmp_path, {**SIZE, "hfov_deg": degrees, "principal_point_px": [250, 240]})
-        f, _ = scene.cameras[0].intrinsics.focal_px
-        assert math.degrees(math.atan(250 / f) + math.atan(390 / f)) == pytest.approx(degrees)
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_a_calibration_file_of_each_program_is_that_camera_and_its_copy_needs_no_file(tmp_path, name: str) -> None:
     """A point 100 m ahead, 20 m to starboard and 5 m down: x = 0.2, y = 0.05, r² = 0.0425."""
@@ -117,7 +96,25 @@ def test_a_calibration_file_of_each_program_is_that_camera_and_its_copy_needs_no
     assert (again.cameras, again.sha256) == (scene.cameras, scene.sha256)
 
 
-def test_degrees_are_radians_and_a_setting_replaces_the_other_form(tmp_path: Path) -> None:
+def test_a_box_is_where_a_hand_calculation_has_it_and_degrees_are_radians(tmp_path):
+    """The near side is at 95 m, 2 m to either side, 5 m down at the water; the far edge of the top is at 105 m and 2 m
+    down. OpenCV counts from the centre of the first pixel, so 310 is 310.5 pixels from the edge of the image."""
+    view = {"hfov_deg": 2 * math.degrees(math.atan(0.4))}  # 320 / 800
+    tall = {"vfov_deg": 2 * math.degrees(math.atan(0.3))}  # 240 / 800
+    for lens, (fx, fy), (x, y) in (
+        ({"K": K}, (800, 790), (310.5, 230.5)),
+        ({"focal_px": [800, 790], "principal_point_px": None}, (800, 790), (320, 240)),
+        ({"focal_px": [800, 790], "principal_point_px": [310, 230]}, (800, 790), (310, 230)),
+        ({"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5]}, (800, 800), (320, 240)),
+        (view, (800, 800), (320, 240)),
+        (tall, (800, 800), (320, 240)),
+    ):
+        by_hand = [x - fx * 2 / 95, y + fy * 2 / 105, x + fx * 2 / 95, y + fy * 5 / 95]
+        np.testing.assert_allclose(box_of(scene_with(tmp_path, {**SIZE, **lens})), by_hand, atol=1e-3)
+    for degrees in (5.0, 60.0, 90.0, 120.0):
+        scene = scene_with(tmp_path, {**SIZE, "hfov_deg": degrees, "principal_point_px": [250, 240]})
+        f, _ = scene.cameras[0].intrinsics.focal_px
+        assert math.degrees(math.atan(250 / f) + math.atan(390 / f)) == pytest.approx(degrees)
     file = {**SIZE, "focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [320, 240]}
     plain = scene_with(tmp_path, file, {"yaw_rad": 0.1, "pitch_rad": 0.2})
     turned = scene_with(tmp_path, file, {"yaw_deg": math.degrees(0.1), "pitch_deg": math.degrees(0.2)})
@@ -209,16 +206,6 @@ def columns(pose, centre=(1000, 1000), radius=500, intrinsics=LENS):
     return intrinsics.project(poses_ashore(Mount(**pose), 1).to_camera(border[None])[0])[:, 0]
 
 
-def test_sides_of_the_view_touch_the_circle_where_the_camera_is_low_or_cut_it():
-    seen = columns(camera_placement((1000, 1000), 500, height_m=1e-3, **LEGACY))
-    assert (seen.min(), seen.max()) == pytest.approx((0, 3600), abs=1e-2)
-    pose = camera_placement((1000, 1000), 500, height_m=20, whole=False, **LEGACY)
-    assert pose["position_m"] == pytest.approx([1000 + 500 / 0.36, 1000, 20])
-    seen = columns(pose)
-    assert seen.min() < -100 and seen.max() > 3700
-    assert 500 / math.tan(2 * 2 * math.atan(0.36)) < 100 < 500
-
-
 @given(
     centre=st.tuples(st.floats(-5e3, 5e3), st.floats(-5e3, 5e3)),
     radius=st.floats(5, 2000),
@@ -236,7 +223,14 @@ def test_whole_circle_is_seen_across_the_image_and_its_centre_in_the_middle(cent
     np.testing.assert_allclose(intrinsics.project(middle), (1000, 1000), atol=1e-3)
 
 
-def test_pitch_of_table_9_5_is_that_of_eq_b_3_and_wrong_lengths_are_named_together():
+def test_sides_of_the_view_touch_or_cut_the_circle_and_pitch_of_table_9_5_is_that_of_eq_b_3():
+    seen = columns(camera_placement((1000, 1000), 500, height_m=1e-3, **LEGACY))
+    assert (seen.min(), seen.max()) == pytest.approx((0, 3600), abs=1e-2)
+    pose = camera_placement((1000, 1000), 500, height_m=20, whole=False, **LEGACY)
+    assert pose["position_m"] == pytest.approx([1000 + 500 / 0.36, 1000, 20])
+    seen = columns(pose)
+    assert seen.min() < -100 and seen.max() > 3700
+    assert 500 / math.tan(2 * 2 * math.atan(0.36)) < 100 < 500
     pose = camera_placement((1000, 1000), 520, height_m=20, whole=False, **LEGACY)
     assert pose["position_m"][0] == pytest.approx(2444, abs=0.5)
     assert math.atan(20 / pose["position_m"][0]) == pytest.approx(0.008, abs=5e-4)

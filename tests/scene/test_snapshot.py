@@ -53,7 +53,7 @@ def nearest(triangles, rays):
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_rays_meet_what_the_rendered_source_draws(scene, exported, renderer, index):
+def test_rays_meet_what_the_rendered_source_draws_and_silhouettes_have_its_full_boxes(scene, exported, renderer, index):
     camera = scene.cameras[index]
     outlines, width, height = scene.sight(camera, np.array([STEP])).outlines(), *camera.intrinsics.image_size_px
     drawn = triangles_of(outlines, camera.intrinsics)
@@ -77,10 +77,6 @@ def test_rays_meet_what_the_rendered_source_draws(scene, exported, renderer, ind
     rays = camera.intrinsics.unproject(np.stack([columns, rows], axis=1) + 0.5, np.ones(len(rows)))
     hit = nearest(triangles, rays)
     assert np.where(hit >= 0, owner[hit], -1).tolist() == expected.tolist()
-
-
-@pytest.mark.parametrize("index", [0, 1])
-def test_silhouettes_have_the_full_boxes_of_the_rendered_truth(scene, exported, renderer, index):
     camera = scene.cameras[index]
     truth = truth_block(scene, STEP, STEP + 1, renderer)
     compared = 0
@@ -95,7 +91,7 @@ def test_silhouettes_have_the_full_boxes_of_the_rendered_truth(scene, exported, 
     assert compared >= 2
 
 
-def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose_upright_in_glb_viewers(scene, exported):
+def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose_also_in_a_glb_file(scene, exported, tmp_path):
     assert set(exported.graph.nodes_geometry) == set(scene.occluder_names)
     poses = scene.motion.at(np.array([STEP]))
     assert poses.poses.positions_m[0, :, 2].any()  # waves lift
@@ -120,9 +116,6 @@ def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose_upright_in_glb_v
     for name in ("camera#quay", "ferry"):
         w1, w2, w3 = before.graph[name][0][:3, 3]
         np.testing.assert_allclose(after.graph[name][0][:3, 3], [w1, w3, -w2], atol=1e-9)
-
-
-def test_a_glb_file_keeps_names_poses_and_shapes(scene, exported, tmp_path):
     path = tmp_path / "moment.glb"
     exported.export(path)
     read = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb", process=False)

@@ -24,27 +24,6 @@ def facts(folder: Path, boats: dict[str, Any], steps: int = 11, **keys: Any) -> 
     return [*map(str, camera_summaries(scene))], [*map(str, vessel_types(scene, tracks))], doubts(scene, tracks)
 
 
-def test_a_line_on_each_camera_is_what_a_drawing_has(tmp_path: Path) -> None:
-    """Of 60°, f = 960 / tan 30° = 1662.8 px; 3° down the horizon is f tan 3° = 87.1 px above the middle, at row 453."""
-    lens = {"hfov_deg": 60, "image_size_px": [1920, 1080]}
-    board = {"vessel": "own", "position_m": [3, 0, 12]}
-    cameras = {
-        "bow": {**lens, "mount": {**board, "yaw_deg": -10, "pitch_deg": 3}},
-        "stern": {**lens, "mount": {**board, "yaw_deg": 180, "pitch_deg": -30}},
-        "pier": {**lens, "pose": {"position_m": [-50, -90, 8.04], "yaw_deg": 60, "pitch_deg": 30}},
-    }
-    own = (BOAT, [[0, 0, 0], [10, 0, 20]])  # heading along w2
-    vessels = {"own": own, "ship": ([80, 14, 20], [[0, 0, 300], [10, 5, 300]])}
-    lines, types, doubtful = facts(tmp_path, vessels, cameras=cameras)
-    size = "1920 × 1080, 60.0° × 36.0°"
-    assert lines == [
-        f"bow: {size}, 12 m up, looks 10° to starboard and 3° down, horizon at row 453",
-        f"stern: {size}, 12 m up, looks astern and 30° up, horizon below the image",
-        f"pier: {size}, 8 m up, looks towards heading 60° and 30° down, horizon above the image",
-    ]
-    assert types == ["Vessel: 2, 10 to 80 × 4 to 14 × 3 to 20 m, 0.5 to 2 m/s"] and doubtful == []
-
-
 @pytest.mark.parametrize("page", ["cameras", "scene"])
 def test_a_page_shows_the_lines_that_its_scenes_have(tmp_path: Path, page: str) -> None:
     found, shown = set(), set()
@@ -98,8 +77,26 @@ def test_shipped_scenes_raise_no_doubt(scene: str) -> None:
     assert doubts(loaded, sampled_tracks(loaded)) == []
 
 
-def test_what_is_allowed_on_purpose_raises_no_doubt(tmp_path: Path) -> None:
-    """A bridge over a path, a quay that a path touches, boats that pass each other, and one that leaves and returns."""
+def test_a_line_on_each_camera_is_what_a_drawing_has_and_what_is_allowed_raises_no_doubt(tmp_path: Path) -> None:
+    """Of 60°, f = 960 / tan 30° = 1662.8 px; 3° down the horizon is f tan 3° = 87.1 px above the middle, at row 453."""
+    lens = {"hfov_deg": 60, "image_size_px": [1920, 1080]}
+    board = {"vessel": "own", "position_m": [3, 0, 12]}
+    cameras = {
+        "bow": {**lens, "mount": {**board, "yaw_deg": -10, "pitch_deg": 3}},
+        "stern": {**lens, "mount": {**board, "yaw_deg": 180, "pitch_deg": -30}},
+        "pier": {**lens, "pose": {"position_m": [-50, -90, 8.04], "yaw_deg": 60, "pitch_deg": 30}},
+    }
+    own = (BOAT, [[0, 0, 0], [10, 0, 20]])  # heading along w2
+    vessels = {"own": own, "ship": ([80, 14, 20], [[0, 0, 300], [10, 5, 300]])}
+    lines, types, doubtful = facts(tmp_path, vessels, cameras=cameras)
+    size = "1920 × 1080, 60.0° × 36.0°"
+    assert lines == [
+        f"bow: {size}, 12 m up, looks 10° to starboard and 3° down, horizon at row 453",
+        f"stern: {size}, 12 m up, looks astern and 30° up, horizon below the image",
+        f"pier: {size}, 8 m up, looks towards heading 60° and 30° down, horizon above the image",
+    ]
+    assert types == ["Vessel: 2, 10 to 80 × 4 to 14 × 3 to 20 m, 0.5 to 2 m/s"] and doubtful == []
+    # A bridge over a path, a quay that a path touches, boats that pass each other, and one that leaves and returns
     bridge = {"bridge": {"polygon_m": ISLAND["island"]["polygon_m"], "height_m": 3, "base_m": 4}}
     quay = {"quay": {"polygon_m": [[0, 0], [100, 0], [100, -9], [0, -9]], "height_m": 3}}
     cameras = {"C0": camera_keys(pose={"position_m": [0, -90, 40]})}

@@ -22,24 +22,7 @@ DANISH = SAMPLES / "danish.csv"
 HEAD = DANISH.read_bytes().partition(b"\n")[0]
 
 
-def test_scene_folder_is_made_and_said_and_runs_as_typed(call, tmp_path):
-    out = tmp_path / "scene"
-    status, said = call("ais", DANISH, "--out", out, "--gap", 120, "--time-step", 2)
-    words = ("254", "messages used", "249", "no_position", "jump", "heading_from_course", "air_draft", "10:00:00Z")
-    assert status == 0 and [word for word in (*words, f"modsim3d run {out}") if word not in said] == []
-    assert {path.name for path in out.iterdir()} == {
-        *("scene.yaml", "vessels.json", "poses.json.gz", "detector.yaml"),
-        *("report.json", "report_times.json.gz", "ais.html"),
-    }
-    assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100
-    moved = out.rename(tmp_path / "moved")  # it has all that it needs
-    assert call("check", "scene", moved / "scene.yaml")[0] == 0
-    assert call("run", moved, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")[0] == 0
-    counts = read_json(tmp_path / "run" / "run.json")["counts"]
-    assert counts["frames"] == 3 and counts["seen"] > 3
-
-
-def test_the_usual_detector_fits_vessels_far_away_which_that_of_the_thesis_does_not(call, tmp_path):
+def test_the_usual_detector_fits_vessels_far_away_and_groups_have_labels_of_the_detector(call, tmp_path):
     below = {}
     for name in ("vessel", "thesis"):
         chosen = ("--detector", name) if name == "thesis" else ()
@@ -47,9 +30,6 @@ def test_the_usual_detector_fits_vessels_far_away_which_that_of_the_thesis_does_
         scene = modsim3d.load_scene(tmp_path / name, source="analytic")
         below[name] = modsim3d.run_scene(scene, tmp_path / f"run_{name}", thesis_json=False).iou.below_half
     assert below["vessel"] < 0.02 and below["thesis"] > 0.9
-
-
-def test_groups_have_labels_of_the_detector_which_are_printed_and_asked_for_where_none_fits(call, tmp_path):
     status, said = call("ais", DANISH, "--out", tmp_path / "coastal", "--end", "+5", "--detector", "coastal")
     printed = {" ".join(line.split()) for line in said.splitlines()}
     assert status == 0 and {"cargo 1 label ship", "sailing 1 label sailboat", "pilot 1 label boat"} <= printed
@@ -65,7 +45,21 @@ def test_groups_have_labels_of_the_detector_which_are_printed_and_asked_for_wher
     assert call("run", tmp_path / "three", "--no-sheet", "--out", tmp_path / "run")[0] == 0
 
 
-def test_folder_with_something_in_it_is_left_alone(call, tmp_path):
+def test_a_scene_folder_is_made_and_runs_as_typed_and_one_with_something_in_it_is_left_alone(call, tmp_path):
+    out = tmp_path / "scene"
+    status, said = call("ais", DANISH, "--out", out, "--gap", 120, "--time-step", 2)
+    words = ("254", "messages used", "249", "no_position", "jump", "heading_from_course", "air_draft", "10:00:00Z")
+    assert status == 0 and [word for word in (*words, f"modsim3d run {out}") if word not in said] == []
+    assert {path.name for path in out.iterdir()} == {
+        *("scene.yaml", "vessels.json", "poses.json.gz", "detector.yaml"),
+        *("report.json", "report_times.json.gz", "ais.html"),
+    }
+    assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100
+    moved = out.rename(tmp_path / "moved")  # it has all that it needs
+    assert call("check", "scene", moved / "scene.yaml")[0] == 0
+    assert call("run", moved, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")[0] == 0
+    counts = read_json(tmp_path / "run" / "run.json")["counts"]
+    assert counts["frames"] == 3 and counts["seen"] > 3
     out, other = tmp_path / "scene", tmp_path / "other"
     assert call("ais", DANISH, "--out", out, "--end", "+5")[0] == 0
     before = (out / "poses.json.gz").read_bytes()
@@ -272,7 +266,7 @@ def said(traffic):
     return text_of(ais_page(traffic))
 
 
-def test_the_page_begins_with_the_result_and_lists_jumps_where_they_were_and_how_far_off(said, traffic):
+def test_the_page_begins_with_the_result_and_says_what_became_of_vessels_and_reports(said, traffic):
     title, rests_on, vessels, messages, *_ = (line for line in said.splitlines() if line)
     assert title == "Traffic from AIS" and rests_on.endswith("what this page rests on")
     times = "from 2024-01-04 10:00:00 UTC to 2024-01-04 10:09:40 UTC"
@@ -285,9 +279,6 @@ def test_the_page_begins_with_the_result_and_lists_jumps_where_they_were_and_how
     way = np.linalg.norm(vessel.jumps_m[0] - vessel.reported_m[0])
     assert float(jumps[0][5]) == pytest.approx(way, abs=1)
     assert way == pytest.approx(0.02 * 111_300, rel=0.01)
-
-
-def test_the_page_says_what_became_of_vessels_and_reports_which_options_were_given_and_of_which_log(said, traffic):
     lines = {
         "219000002|X|sailing|Sailing|12|3.7|16|the same|length, beam, place of the antenna, air draft|",
         "219000004|latitude 91, longitude 181, both 0, or empty (1)|",
@@ -309,7 +300,7 @@ def drawn(written: str, index: int) -> str:
     return re.findall(r"<svg.*?</svg>", written, re.DOTALL)[index]
 
 
-def test_lanes_show_when_a_vessel_is_there_and_the_map_has_tracks_gaps_jumps_and_a_caption(traffic, tmp_path):
+def test_lanes_show_when_a_vessel_is_there_and_a_long_list_is_cut_and_names_are_no_markup(traffic, tmp_path):
     widths = [float(width) for width in re.findall(r'<rect x="[\d.]+" width="([\d.]+)"', drawn(ais_page(traffic), 1))]
     assert len(widths) == 4 and widths[1:3] == pytest.approx([widths[0] * 140 / 580] * 2, abs=0.2)
     drawing = drawn(ais_page(traffic), 0)
@@ -329,9 +320,6 @@ def test_lanes_show_when_a_vessel_is_there_and_the_map_has_tracks_gaps_jumps_and
     assert [track.count("M") for track in tracks] == [1, 2, 1]
     first = (float(tracks[0][1:].split(",")[0]) - ticks[0]) / (ticks[500] - ticks[0]) * 500
     assert first == pytest.approx(traffic.vessels[0].places_m[0, 0], abs=2)
-
-
-def test_a_long_list_is_cut_and_what_a_ship_calls_itself_is_no_markup(tmp_path):
     many = MAX_ROWS + 5
     rows = [row(10 * k, 56.0 + 0.001 * v, mmsi=219000000 + v) for v in range(many) for k in (0, 1)]
     rows += [row(0, 57.0, mmsi=220000000 + v) for v in range(many)]

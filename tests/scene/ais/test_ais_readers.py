@@ -41,7 +41,7 @@ def tagged(content: str, sentence: str, checksum: int | None = None) -> str:
     return f"\\{content}*{reduce(xor, content.encode()) if checksum is None else checksum:02X}\\{sentence}"
 
 
-def test_published_position_report_and_message_in_two_parts_are_decoded(tmp_path):
+def test_published_messages_are_decoded_and_time_is_found_wherever_logs_have_it(tmp_path):
     lines = tagged("c:1423133048", TYPE_1), f"1423133049 {TYPE_5[0]}", TYPE_5[1]
     (chunk,) = read_nmea(log(tmp_path, *lines))
     assert (chunk.messages, dict(chunk.dropped)) == (2, {})
@@ -52,9 +52,6 @@ def test_published_position_report_and_message_in_two_parts_are_decoded(tmp_path
     said = chunk.particulars
     assert (said.mmsi[0], said.name[0], said.ship_type[0]) == (351759000, "EVER DIADEM", "70")
     assert (said.to_bow_m[0], said.to_stern_m[0], said.to_port_m[0], said.to_starboard_m[0]) == (225, 70, 1, 31)
-
-
-def test_time_is_found_wherever_logs_have_it_and_broken_sentences_are_counted_and_named(tmp_path):
     lines = [tagged("s:station,c:1423133048", TYPE_1), f"{TYPE_1},1423133048"]
     lines += [f"1423133048{end}{TYPE_1}" for end in (" ", ",", ".0\t", "000 ")]
     (chunk,) = read_nmea(log(tmp_path, *lines, f"{TYPE_1},s30327,d-120,T10.2,r003669945,1423133048"))
@@ -248,7 +245,7 @@ def test_dates_that_can_be_several_times_are_quoted(tmp_path: Path, text: str) -
         list(read_nmea(log(tmp_path, f"{text},{TYPE_1}")))
 
 
-def test_a_tag_block_before_1990_gives_way_to_a_time_beside_it_and_a_named_date_comes_first(tmp_path):
+def test_a_tag_block_before_1990_gives_way_and_unix_times_days_apart_are_none(tmp_path):
     tag = tagged("s:r1,c:315964800", TYPE_1)
     (chunk,) = read_nmea(log(tmp_path, f"2024-02-05T10:44:08Z {tag}", f"{tag},{MOMENT_S:.0f}"))
     assert chunk.positions.time_s.tolist() == [MOMENT_S] * 2
@@ -258,9 +255,6 @@ def test_a_tag_block_before_1990_gives_way_to_a_time_beside_it_and_a_named_date_
         around = {"eta": "2024-03-01 10:00:00", "seen": "01.03.2024 10:00:00", name: "2024-02-05T10:44:08Z"}
         (chunk,) = read_nmea(log(tmp_path, json.dumps({**dict([*around.items()][::order]), "nmea": [TYPE_1]})))
         assert chunk.positions.time_s.tolist() == [MOMENT_S], (name, order)
-
-
-def test_unix_times_days_apart_are_none_dates_that_could_be_some_and_lost_digits_refused(tmp_path):
     for before, after in (("1234567890,1767265200", ""), ("1234567890", "1767265200"), ("", "1767265200,1234567890")):
         assert time_beside(None, before, after) is None
         assert time_beside(None, f"{before} toa: 1767265201", after) == 1767265201
