@@ -121,7 +121,18 @@ def test_our_own_reader_reads_the_run_back(analytic_run, folder, camera: int, na
     np.testing.assert_allclose(again.results.boxes_px, found.boxes_px[order], atol=1.1e-3)
 
 
-def test_frames_of_a_slow_camera_lead_back_to_steps_and_classes_are_each_in_one_sequence(analytic_run, folder):
+@pytest.fixture(scope="module")
+def written(analytic_run: StoredRun) -> Path:
+    yolo.write(ExportRequest(analytic_run, (0, 1)), analytic_run.folder.parent / "yolo")
+    return analytic_run.folder.parent / "yolo"
+
+
+def data_set(written: Path, labels: str) -> supervision.DetectionDataset:
+    paths = written / "images", written / labels, written / "data.yaml"
+    return supervision.DetectionDataset.from_yolo(*map(str, paths))
+
+
+def test_frames_of_a_slow_camera_lead_back_to_steps_and_yolo_files_are_read_back(analytic_run, folder, written):
     with (folder / "frames.csv").open() as table:
         steps = {(row["camera"], int(row["frame"])): int(row["step"]) for row in csv.DictReader(table)}
     frames = analytic_run.table("frames").to_pylist()
@@ -146,20 +157,6 @@ def test_frames_of_a_slow_camera_lead_back_to_steps_and_classes_are_each_in_one_
     labels = analytic_run.table("detections").to_pylist()
     ribs = sum(row["label"] == LABELS[2] and row["camera"] == "name" for row in labels)
     assert len(rows_of(folder / mot.CLASS_SET / "name-RIB" / "det" / "det.txt")) == ribs
-
-
-@pytest.fixture(scope="module")
-def written(analytic_run: StoredRun) -> Path:
-    yolo.write(ExportRequest(analytic_run, (0, 1)), analytic_run.folder.parent / "yolo")
-    return analytic_run.folder.parent / "yolo"
-
-
-def data_set(written: Path, labels: str) -> supervision.DetectionDataset:
-    paths = written / "images", written / labels, written / "data.yaml"
-    return supervision.DetectionDataset.from_yolo(*map(str, paths))
-
-
-def test_every_frame_has_yolo_files_that_our_own_reader_and_supervision_read_back(analytic_run, written):
     names = [f"{row['camera']}_{row['step']:06d}" for row in analytic_run.table("frames").to_pylist()]
     assert len(names) == STEPS + 15
     for kind in yolo.FOLDERS:

@@ -77,7 +77,52 @@ def test_both_readers_read_the_same_in_every_field_and_metadata_is_what_humble_r
         assert set(profiles.values()) == {""}
 
 
-def test_topics_and_camera_info_are_those_of_the_run_and_detections_those_a_tracker_reads(out, tracker, truth, run):
+def check_projection(tracker: bags.Topics, truth: bags.Topics) -> int:
+    """Project every vessel's hull with what the bags have, and compare with the true boxes that no edge cuts."""
+    frames, checked = bags.Frames(tracker, truth), 0
+    along = np.linspace(0, 1, 40)[:, None]
+    for name in (topic.split("/")[2] for topic in truth if topic.startswith("/truth/")):
+        info = tracker[f"/{name}/camera_info"][0].content
+        for stamp_ns, message in truth[f"/truth/{name}/boxes"]:
+            camera_T_map = np.linalg.inv(frames.map_T(f"{name}_optical_frame", stamp_ns))
+            for each, box in zip(message.detections, bags.boxes_of(message), strict=True):
+                if min(box) <= 0 or box[2] >= info.width or box[3] >= info.height:
+                    continue
+                size = bags.VESSELS[each.id]
+                signs = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)]) - [0.5, 0.5, 0]
+                corners = signs * [size["length_m"], size["beam_m"], size["air_draft_m"]]
+                hull = np.concatenate([corners[a] + along * (corners[b] - corners[a]) for a, b in EDGES])
+                camera_T_vessel = camera_T_map @ frames.map_T(f"truth/{each.id}", stamp_ns)
+                pixels = bags.projected(hull @ camera_T_vessel[:3, :3].T + camera_T_vessel[:3, 3], info)
+                found = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+                np.testing.assert_allclose(found, box, rtol=0, atol=0.01 if any(info.d) else 1e-6)
+                checked += 1
+    return checked
+
+
+@pytest.mark.parametrize("composition", ["rigid", "additive"])
+def test_hulls_through_frames_and_lens_are_the_true_boxes_in_any_waves(tracker, truth, tmp_path, composition) -> None:
+    assert check_projection(tracker, truth) > 30
+    scene = bags.voyage(waves={"level": "huge", "composition": composition})
+    modsim3d.run_scene(scene, tmp_path / "run")
+    out = export(modsim3d.open_run(tmp_path / "run"), tmp_path / "bags")
+    high, truth = (bags.read_with_rosbags(out / bag) for bag in ("detections", "truth"))
+    assert check_projection(high, truth) > 20
+    moving, fixed = ({f.child_frame_id for m in high[t] for f in m.content.transforms} for t in ("/tf", "/tf_static"))
+    on_board = {f"{BOW}_optical_frame", f"{BEAM}_optical_frame"} if composition == "additive" else set()
+    assert moving == {"base_link"} | on_board and not moving & fixed
+
+
+def vectors(messages: list[Any]) -> np.ndarray:
+    """The x, y and z of each, shape (n, 3)."""
+    return np.array([[each.x, each.y, each.z] for each in messages])
+
+
+def turns(quaternions: list[Any]) -> Any:
+    return bags.Rotation.from_quat([[q.x, q.y, q.z, q.w] for q in quaternions])
+
+
+def test_topics_are_those_of_the_run_and_own_ship_is_that_of_the_table_in_axes_of_rep_103(out, tracker, truth, run):
     steps, slow = bags.STEPS, 5  # at 0.1, 0.4, 0.6, 0.9 and 1.1 s
     moving = {"/tf": steps, "/odom": steps, "/imu": steps, "/tf_static": 1}
     seen = {f"/{name}/{kind}": steps for name in (BOW, QUAY) for kind in ("camera_info", "detections")}
@@ -132,54 +177,6 @@ def test_topics_and_camera_info_are_those_of_the_run_and_detections_those_a_trac
         empty = [m.content for m in truth[f"/truth/{name}/boxes"] if 500_000_000 <= m.stamp_ns < 900_000_000]
         assert len(empty) >= 1 and all(each.detections == [] for each in empty if name != QUAY)
     assert 0 in [len(m.content.detections) for name in FRAMES for m in tracker[f"/{name}/detections"]]
-
-
-def check_projection(tracker: bags.Topics, truth: bags.Topics) -> int:
-    """Project every vessel's hull with what the bags have, and compare with the true boxes that no edge cuts."""
-    frames, checked = bags.Frames(tracker, truth), 0
-    along = np.linspace(0, 1, 40)[:, None]
-    for name in (topic.split("/")[2] for topic in truth if topic.startswith("/truth/")):
-        info = tracker[f"/{name}/camera_info"][0].content
-        for stamp_ns, message in truth[f"/truth/{name}/boxes"]:
-            camera_T_map = np.linalg.inv(frames.map_T(f"{name}_optical_frame", stamp_ns))
-            for each, box in zip(message.detections, bags.boxes_of(message), strict=True):
-                if min(box) <= 0 or box[2] >= info.width or box[3] >= info.height:
-                    continue
-                size = bags.VESSELS[each.id]
-                signs = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)]) - [0.5, 0.5, 0]
-                corners = signs * [size["length_m"], size["beam_m"], size["air_draft_m"]]
-                hull = np.concatenate([corners[a] + along * (corners[b] - corners[a]) for a, b in EDGES])
-                camera_T_vessel = camera_T_map @ frames.map_T(f"truth/{each.id}", stamp_ns)
-                pixels = bags.projected(hull @ camera_T_vessel[:3, :3].T + camera_T_vessel[:3, 3], info)
-                found = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
-                np.testing.assert_allclose(found, box, rtol=0, atol=0.01 if any(info.d) else 1e-6)
-                checked += 1
-    return checked
-
-
-@pytest.mark.parametrize("composition", ["rigid", "additive"])
-def test_hulls_through_frames_and_lens_are_the_true_boxes_in_any_waves(tracker, truth, tmp_path, composition) -> None:
-    assert check_projection(tracker, truth) > 30
-    scene = bags.voyage(waves={"level": "huge", "composition": composition})
-    modsim3d.run_scene(scene, tmp_path / "run")
-    out = export(modsim3d.open_run(tmp_path / "run"), tmp_path / "bags")
-    high, truth = (bags.read_with_rosbags(out / bag) for bag in ("detections", "truth"))
-    assert check_projection(high, truth) > 20
-    moving, fixed = ({f.child_frame_id for m in high[t] for f in m.content.transforms} for t in ("/tf", "/tf_static"))
-    on_board = {f"{BOW}_optical_frame", f"{BEAM}_optical_frame"} if composition == "additive" else set()
-    assert moving == {"base_link"} | on_board and not moving & fixed
-
-
-def vectors(messages: list[Any]) -> np.ndarray:
-    """The x, y and z of each, shape (n, 3)."""
-    return np.array([[each.x, each.y, each.z] for each in messages])
-
-
-def turns(quaternions: list[Any]) -> Any:
-    return bags.Rotation.from_quat([[q.x, q.y, q.z, q.w] for q in quaternions])
-
-
-def test_own_ship_is_that_of_the_table_with_its_covariances_and_axes_are_those_of_rep_103(run, tracker):
     table = run.table("ownship").to_pydict()
     column = {name: np.array(table[name]) for name in table if name not in ("vessel", "timestamp")}
     odom, imu = ([m.content for m in tracker[topic]] for topic in ("/odom", "/imu"))

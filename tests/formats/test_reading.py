@@ -40,25 +40,6 @@ def read(tmp_path, truth=TRUTH, results=RESULTS, **given):
     return read_pair("day", *written(tmp_path, truth, results), ReadOptions(**given))
 
 
-def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
-    labelled = read(tmp_path)
-    truth, found = labelled.annotations, labelled.results
-    assert labelled.labels == ("ferry", "kayak")
-    assert labelled.images.names == ("7", "b.png")  # in the order of the IDs, as COCO's tools have it
-    assert (truth.image.tolist(), truth.label.tolist()) == ([0, 1, 1], [0, 1, 0])
-    assert truth.boxes_px[1].tolist() == [10, 20, 40, 60]
-    assert truth.crowd.tolist() == truth.ignored.tolist() == [False, False, True]
-    assert truth.identity.tolist() == [-1, -1, 0]
-    assert truth.visible_fraction[0] == 0.25 and truth.depth_m[0] == 80
-    assert (found.label.tolist(), found.confidence.tolist()) == ([1, 0], [1, 0.75])
-    assert found.probabilities[0].tolist() == [0.1, 0.9] and np.isnan(found.probabilities[1]).all()
-    # a condition that an image leaves empty is that of the pair
-    images = [{**TRUTH["images"][0], "condition": None}, {**TRUTH["images"][1], "condition": "fog"}]
-    assert read(tmp_path, {**TRUTH, "images": images}).conditions == ("fog", "day")
-    empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
-    assert (len(empty.images), len(empty.annotations), len(empty.results)) == (2, 0, 0)
-
-
 def changed(where, **keys):
     truth, results = deepcopy(TRUTH), deepcopy(RESULTS)
     entry = results[where] if isinstance(where, int) else truth[where[0]][where[1]]
@@ -101,7 +82,23 @@ BAD = [
 ]
 
 
-def test_coco_that_is_wrong_is_refused_with_every_problem_and_entries_left_out_when_asked(tmp_path):
+def test_coco_ids_may_be_any_and_what_is_wrong_is_refused_with_every_problem(tmp_path):
+    labelled = read(tmp_path)
+    truth, found = labelled.annotations, labelled.results
+    assert labelled.labels == ("ferry", "kayak")
+    assert labelled.images.names == ("7", "b.png")  # in the order of the IDs, as COCO's tools have it
+    assert (truth.image.tolist(), truth.label.tolist()) == ([0, 1, 1], [0, 1, 0])
+    assert truth.boxes_px[1].tolist() == [10, 20, 40, 60]
+    assert truth.crowd.tolist() == truth.ignored.tolist() == [False, False, True]
+    assert truth.identity.tolist() == [-1, -1, 0]
+    assert truth.visible_fraction[0] == 0.25 and truth.depth_m[0] == 80
+    assert (found.label.tolist(), found.confidence.tolist()) == ([1, 0], [1, 0.75])
+    assert found.probabilities[0].tolist() == [0.1, 0.9] and np.isnan(found.probabilities[1]).all()
+    # a condition that an image leaves empty is that of the pair
+    images = [{**TRUTH["images"][0], "condition": None}, {**TRUTH["images"][1], "condition": "fog"}]
+    assert read(tmp_path, {**TRUTH, "images": images}).conditions == ("fog", "day")
+    empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
+    assert (len(empty.images), len(empty.annotations), len(empty.results)) == (2, 0, 0)
     for files, message in BAD:
         with pytest.raises(InputError, match=message):
             read(tmp_path, *files)
@@ -228,16 +225,6 @@ def test_yolo_names_are_those_of_their_numbers(tmp_path):
             yolo(tmp_path, **wrong)
 
 
-def test_what_is_not_there_is_not_taken_for_another_kind_and_two_kinds_do_not_go_together(tmp_path):
-    yolo(tmp_path)
-    with pytest.raises(InputError) as raised:
-        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", ReadOptions())
-    assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
-    gt, _ = written(tmp_path)
-    (tmp_path / "det.txt").touch()
-    refused(r"looks like COCO and .* like MOT", gt, tmp_path / "det.txt", ReadOptions())
-
-
 def test_joined_sets_keep_their_rows_apart_and_a_row_and_two_points_are_the_same_line():
     first, second = random_set(1, labels=2), random_set(2, labels=3)
     both = joined([first, second])
@@ -266,7 +253,14 @@ def test_a_horizon_that_is_written_is_read_back(roll, below, width):
     np.testing.assert_allclose(corners @ again * np.cos(roll), corners @ sea, atol=1e-3)
 
 
-def test_images_that_say_their_horizon_keep_it_and_others_take_that_of_the_option(tmp_path):
+def test_what_is_not_there_is_no_other_kind_and_images_that_say_their_horizon_keep_it(tmp_path):
+    yolo(tmp_path)
+    with pytest.raises(InputError) as raised:
+        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", ReadOptions())
+    assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
+    gt, _ = written(tmp_path)
+    (tmp_path / "det.txt").touch()
+    refused(r"looks like COCO and .* like MOT", gt, tmp_path / "det.txt", ReadOptions())
     labelled = random_set(0, image_count=2)
     labelled = replace(labelled, images=images(2, half_planes=np.array([UNKNOWN, (0.0, 1.0, -50.0)])))
     assert with_horizon(labelled, None) is labelled

@@ -95,25 +95,6 @@ def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch, call):
         assert run_files(Path("workers")) == run_files(Path("run"))
 
 
-def test_an_interrupted_run_of_it_goes_on_and_it_keeps_nothing_of_the_callers(tmp_path):
-    data = good()
-    run_scene(Scene.from_dict(good()), tmp_path / "before")
-    scene = Scene.from_dict(data)
-    for array in (data["poses"]["positions_m"], data["poses"]["headings_rad"]):
-        array[:] = 7.0
-    data["vessels"]["vehicle1"]["length_m"] = 99.0
-    data["detector"]["states"]["clear"]["confusion"][0][0] = 0.0
-    data["cameras"]["bow"]["mount"]["position_m"][:] = 0.0
-    run_scene(scene, tmp_path / "after")
-    assert run_files(tmp_path / "after") == run_files(tmp_path / "before")
-    with pytest.raises(ValueError, match="read-only"):
-        scene.poses.poses(0, 1).positions_m[:] = 0.0
-    interrupt(Scene.from_dict(good()), tmp_path / "run")
-    assert run_scene(Scene.from_dict(good()), tmp_path / "run", resume=True).resumed_steps
-    run_scene(Scene.from_dict(good()), tmp_path / "whole")
-    assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
-
-
 @pytest.mark.parametrize("dtype", [np.float32, np.int64, np.uint8])
 def test_arrays_of_any_kind_of_number_will_do(dtype):
     data = good()
@@ -164,20 +145,6 @@ def test_columns_may_be_in_any_order_and_what_the_caller_sets_replaces_what_stan
         np.testing.assert_array_equal(poses.headings_rad, np.nan_to_num(headings))
     np.testing.assert_array_equal(again.times_s(0, 50), scene.times_s(0, 50))
     assert again.timestamps(0, 50) == scene.timestamps(0, 50) and again.sha256 == scene.sha256
-
-
-def test_files_of_the_mapping_are_relative_to_the_working_directory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("in").mkdir()
-    for name in ("vessels", "poses", "detector"):
-        Path(f"in/{name}.json").write_text(json.dumps(GOOD[name]))
-    files = {"vessels": Path("in/vessels.json"), "poses": {"file": Path("in/poses.json")}}
-    data = good() | files | {"detector": "in/detector.json"}
-    assert Scene.from_dict(data).steps == 4
-    Path("in/vessels.json").unlink()
-    with pytest.raises(InputError, match="no such file") as error:
-        Scene.from_dict(data)
-    assert error.value.source == "scene"
 
 
 def changed(**values: object) -> dict:
@@ -281,18 +248,45 @@ def test_every_problem_is_said_at_once_with_its_path_and_what_no_file_could_give
             Scene.from_dict(good(), name=name)
 
 
-def test_errors_of_the_run_name_the_scene(tmp_path):
+def test_an_interrupted_run_of_it_goes_on_and_errors_of_the_run_name_the_scene(tmp_path):
+    data = good()
+    run_scene(Scene.from_dict(good()), tmp_path / "before")
+    scene = Scene.from_dict(data)
+    for array in (data["poses"]["positions_m"], data["poses"]["headings_rad"]):
+        array[:] = 7.0
+    data["vessels"]["vehicle1"]["length_m"] = 99.0
+    data["detector"]["states"]["clear"]["confusion"][0][0] = 0.0
+    data["cameras"]["bow"]["mount"]["position_m"][:] = 0.0
+    run_scene(scene, tmp_path / "after")
+    assert run_files(tmp_path / "after") == run_files(tmp_path / "before")
+    with pytest.raises(ValueError, match="read-only"):
+        scene.poses.poses(0, 1).positions_m[:] = 0.0
+    interrupt(Scene.from_dict(good()), tmp_path / "run")
+    assert run_scene(Scene.from_dict(good()), tmp_path / "run", resume=True).resumed_steps
+    run_scene(Scene.from_dict(good()), tmp_path / "whole")
+    assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
     data = spoiled("positions_m", (3, 0), np.nan)
     data["poses"]["headings_rad"][3, 0] = np.nan
     with pytest.raises(InputError) as error:
-        run_scene(Scene.from_dict(data), tmp_path / "run")
+        run_scene(Scene.from_dict(data), tmp_path / "failed")
     assert str(error.value).startswith("scene:\n  cameras.bow.mount.vessel: 'vehicle1' has no pose at time 0.3 s")
     with pytest.raises(InputError) as error:
-        run_scene(Scene.from_dict(data, name="mine"), tmp_path / "run")
+        run_scene(Scene.from_dict(data, name="mine"), tmp_path / "failed")
     assert error.value.source == "scene mine"
 
 
-def test_its_own_files_are_no_files_that_lie_there_by_chance(tmp_path, monkeypatch):
+def test_files_of_the_mapping_are_relative_to_the_working_directory_but_not_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    for name in ("vessels", "poses", "detector"):
+        Path(f"in/{name}.json").write_text(json.dumps(GOOD[name]))
+    files = {"vessels": Path("in/vessels.json"), "poses": {"file": Path("in/poses.json")}}
+    data = good() | files | {"detector": "in/detector.json"}
+    assert Scene.from_dict(data).steps == 4
+    Path("in/vessels.json").unlink()
+    with pytest.raises(InputError, match="no such file") as error:
+        Scene.from_dict(data)
+    assert error.value.source == "scene"
     run_scene(Scene.from_dict(good()), tmp_path / "run")
     monkeypatch.chdir(tmp_path / "run" / "scene")
     scene = Scene.from_dict(good())

@@ -62,7 +62,49 @@ def own_ship(scene):
     return own_ships_at(scene, 0, STEPS)
 
 
-def test_at_rest_gravity_is_measured_upwards_and_on_a_circle_the_force_to_its_centre(scene):
+def errors(own):
+    """Errors of the rates, forces and attitudes of one own ship in `UNITS`, shape (steps, 9)."""
+    true = own.rates_rad_s, own.forces_m_s2, true_attitudes(own.headings_rad, own.angles_rad)
+    measured = own.measured_rates_rad_s, own.measured_forces_m_s2, own.measured_attitudes_rad
+    off = np.concatenate([np.subtract(*both)[:, 0] for both in zip(measured, true, strict=True)], axis=1)
+    return off / np.repeat([*UNITS.values()], [3, 3, 2, 1])
+
+
+def test_motions_are_felt_with_their_signs_and_rates_carry_the_attitude_and_errors_have_the_asked_spread(scene):
+    """Integrated as a strapdown navigator would: R(t + h) = R(t) exp(ω h), with the mean of two rates."""
+    rough = replace(on_a_circle(scene), waves=Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05)))
+    rates = own_ship(rough).rates_rad_s[:, 0]
+    attitude: Array = rough.motion.at(np.arange(STEPS)).world_R_vessel[:, 0]
+    turn = Rotation.from_matrix(attitude[1])
+    for step in range(1, STEPS - 2):
+        turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)
+    assert (turn.inv() * Rotation.from_matrix(attitude[STEPS - 2])).magnitude() < 2e-3
+    imu = Imu((1.0, 2.0, 3.0), *np.arange(1, 9) / 50)
+    noisy = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=imu)
+    whole = own_ship(noisy)
+    for first, stop in ((0, 1), (1, 2), (0, 2), (57, 80), (STEPS - 2, STEPS - 1), (STEPS - 1, STEPS)):
+        part = own_ships_at(noisy, first, stop)
+        for name in (field.name for field in fields(whole) if field.name != "vessels"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop], err_msg=name)
+    rough = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05)))
+    perfect, inclined = own_ship(rough), own_ship(replace(rough, imu=Imu(attitude_noise_rad=1, heading_noise_rad=1)))
+    assert not errors(perfect).any()
+    headings = perfect.headings_rad + perfect.angles_rad[..., 2]
+    np.testing.assert_array_equal(perfect.measured_attitudes_rad[..., 2], headings)
+    for name in ("measured_rates_rad_s", "measured_forces_m_s2", "angles_rad"):
+        np.testing.assert_array_equal(getattr(inclined, name), getattr(perfect, name))
+    noise, bias = (Imu(**{key.format(kind): unit for key, unit in UNITS.items()}) for kind in ("noise", "bias"))
+    for error in np.split(errors(own_ship(replace(rough, imu=noise))), 3, axis=1):
+        assert abs(error.mean()) < 4 / np.sqrt(error.size) and abs(np.mean(error**2) - 1) < 4 * np.sqrt(2 / error.size)
+        assert abs(np.corrcoef(error[:-1].ravel(), error[1:].ravel())[0, 1]) < 4 / np.sqrt(error.size)
+    biases = np.empty((200, 9))
+    for seed in range(200):
+        error = errors(own_ships_at(replace(scene, imu=bias, seed=seed), 0, 3))
+        np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), atol=3e-12)
+        biases[seed] = error[0]
+    np.testing.assert_allclose(np.mean(biases**2, axis=0), 1, atol=4 * np.sqrt(2 / 200))
+    assert abs(np.mean(biases[:, :6] ** 2) - 1) < 4 * np.sqrt(2 / 1200)
+    np.testing.assert_allclose(Imu(attitude_noise_rad=3, attitude_bias_rad=4).attitude_std_rad, [5, 5, 0])
     own = own_ship(scene)
     np.testing.assert_allclose(own.forces_m_s2, np.broadcast_to(UP, (STEPS, 1, 3)), atol=1e-12)
     np.testing.assert_array_equal(own.rates_rad_s, 0)
@@ -80,9 +122,6 @@ def test_at_rest_gravity_is_measured_upwards_and_on_a_circle_the_force_to_its_ce
     # 3 m to port of a vessel that turns to port is 3 m nearer the centre.
     moved = replace(on_a_circle(scene), imu=Imu((0.0, 3.0, 2.0)))
     np.testing.assert_allclose(own_ship(moved).forces_m_s2[5, 0, 1], 0.2**2 * 37.0, rtol=1e-4)
-
-
-def test_roll_pitch_yaw_heave_and_a_mast_are_felt_with_their_signs(scene):
     rate = 1.3
     sine, cosine = np.sin(rate * TIMES_S), np.cos(rate * TIMES_S)
     lifted = own_ship(replace(scene, waves=Waves(Swinging(heave=0.5))))
@@ -112,54 +151,6 @@ def test_roll_pitch_yaw_heave_and_a_mast_are_felt_with_their_signs(scene):
         np.testing.assert_allclose(np.delete(own.rates_rad_s[:, 0], axis, axis=1), 0, atol=1e-12)
 
 
-def test_rates_carry_the_attitude_from_step_to_step_however_the_run_is_split(scene):
-    """Integrated as a strapdown navigator would: R(t + h) = R(t) exp(ω h), with the mean of two rates."""
-    rough = replace(on_a_circle(scene), waves=Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05)))
-    rates = own_ship(rough).rates_rad_s[:, 0]
-    attitude: Array = rough.motion.at(np.arange(STEPS)).world_R_vessel[:, 0]
-    turn = Rotation.from_matrix(attitude[1])
-    for step in range(1, STEPS - 2):
-        turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)
-    assert (turn.inv() * Rotation.from_matrix(attitude[STEPS - 2])).magnitude() < 2e-3
-    imu = Imu((1.0, 2.0, 3.0), *np.arange(1, 9) / 50)
-    noisy = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=imu)
-    whole = own_ship(noisy)
-    for first, stop in ((0, 1), (1, 2), (0, 2), (57, 80), (STEPS - 2, STEPS - 1), (STEPS - 1, STEPS)):
-        part = own_ships_at(noisy, first, stop)
-        for name in (field.name for field in fields(whole) if field.name != "vessels"):
-            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop], err_msg=name)
-
-
-def errors(own):
-    """Errors of the rates, forces and attitudes of one own ship in `UNITS`, shape (steps, 9)."""
-    true = own.rates_rad_s, own.forces_m_s2, true_attitudes(own.headings_rad, own.angles_rad)
-    measured = own.measured_rates_rad_s, own.measured_forces_m_s2, own.measured_attitudes_rad
-    off = np.concatenate([np.subtract(*both)[:, 0] for both in zip(measured, true, strict=True)], axis=1)
-    return off / np.repeat([*UNITS.values()], [3, 3, 2, 1])
-
-
-def test_errors_have_the_asked_spread_and_a_bias_stays(scene):
-    rough = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05)))
-    perfect, inclined = own_ship(rough), own_ship(replace(rough, imu=Imu(attitude_noise_rad=1, heading_noise_rad=1)))
-    assert not errors(perfect).any()
-    headings = perfect.headings_rad + perfect.angles_rad[..., 2]
-    np.testing.assert_array_equal(perfect.measured_attitudes_rad[..., 2], headings)
-    for name in ("measured_rates_rad_s", "measured_forces_m_s2", "angles_rad"):
-        np.testing.assert_array_equal(getattr(inclined, name), getattr(perfect, name))
-    noise, bias = (Imu(**{key.format(kind): unit for key, unit in UNITS.items()}) for kind in ("noise", "bias"))
-    for error in np.split(errors(own_ship(replace(rough, imu=noise))), 3, axis=1):
-        assert abs(error.mean()) < 4 / np.sqrt(error.size) and abs(np.mean(error**2) - 1) < 4 * np.sqrt(2 / error.size)
-        assert abs(np.corrcoef(error[:-1].ravel(), error[1:].ravel())[0, 1]) < 4 / np.sqrt(error.size)
-    biases = np.empty((200, 9))
-    for seed in range(200):
-        error = errors(own_ships_at(replace(scene, imu=bias, seed=seed), 0, 3))
-        np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), atol=3e-12)
-        biases[seed] = error[0]
-    np.testing.assert_allclose(np.mean(biases**2, axis=0), 1, atol=4 * np.sqrt(2 / 200))
-    assert abs(np.mean(biases[:, :6] ** 2) - 1) < 4 * np.sqrt(2 / 1200)
-    np.testing.assert_allclose(Imu(attitude_noise_rad=3, attitude_bias_rad=4).attitude_std_rad, [5, 5, 0])
-
-
 def test_a_table_from_before_is_read_and_a_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path, scene):
     run_scene(replace(scene, waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05))), tmp_path / "run")
     path = tmp_path / "run" / "ownship.parquet"
@@ -186,7 +177,7 @@ def test_a_table_from_before_is_read_and_a_unit_without_an_own_ship_and_unknown_
             load_scene(path)
 
 
-def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp_path, scene):
+def test_a_run_has_a_row_for_each_step_and_own_ship_and_the_same_bytes_however_split(tmp_path, scene, monkeypatch):
     rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01))
     run_scene(rough, tmp_path / "run")
     table, own = pq.read_table(tmp_path / "run" / "ownship.parquet"), own_ship(rough)
@@ -202,9 +193,6 @@ def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp
         np.testing.assert_array_equal(table[name], expected, err_msg=name)
     run_scene(replace(scene, cameras=scene.cameras[:1]), tmp_path / "ashore")
     assert not (tmp_path / "ashore" / "ownship.parquet").exists()
-
-
-def test_the_table_is_the_same_bytes_however_split_and_two_own_ships_take_turns(tmp_path, scene, monkeypatch):
     short = load_scene(tmp_path / "scene.yaml", steps=30)
     rough = replace(short, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
     written = []
@@ -219,6 +207,6 @@ def test_the_table_is_the_same_bytes_however_split_and_two_own_ships_take_turns(
     annotation = replace(scene.annotation, allow_camera_inside=True)
     both = replace(on_a_circle(scene), cameras=(ashore, bow, second), annotation=annotation)
     assert both.own_ships == (0, 1)
-    run_scene(both, tmp_path / "run")
-    table = pq.read_table(tmp_path / "run" / "ownship.parquet")
+    run_scene(both, tmp_path / "both")
+    table = pq.read_table(tmp_path / "both" / "ownship.parquet")
     assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2 and table["step"].to_pylist()[:4] == [0, 0, 1, 1]

@@ -99,7 +99,24 @@ def test_keys_of_scene_vessels_and_detector_can_be_set_and_every_wrong_one_is_to
     assert "ferry, sailboat" in problem and "modsim3d.guess_detector" in problem
 
 
-def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(scene):
+@pytest.mark.parametrize(
+    ("key", "value", "works"),
+    [
+        ("detector.states.clear.false_discovery_rate", 0.6, "set detector.false_positives.rate"),
+        ("detector.confidence_threshold", 0.5, "set detector.operating_threshold"),
+        ("detector.false_positives.merge_overlap", 0.5, "set detector.false_positives.merges"),
+    ],
+)
+def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(key: str, value: float, works: str) -> None:
+    setting = {key: value}
+    found = problems("strait", settings=setting)
+    assert found[0].startswith(f'settings["{key}"]') and works in found[0]
+    with pytest.raises(InputError, match=works):
+        choose_detector("coastal", settings=setting)
+    assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
+
+
+def test_a_wrong_setting_is_named_as_it_was_given_and_a_state_is_forced_for_the_whole_scene(scene, tmp_path):
     whole = {"detector": str(RICH), "vessels.vehicle1.label": "ferry", "vessels.vehicle2.label": "ferry"}
     loaded = load_scene(scene, settings={DETECTOR_RATE: 0.3, **whole})
     assert loaded.detector.labels == ("sailboat", "motorboat", "ferry")
@@ -125,26 +142,6 @@ def test_a_wrong_setting_is_named_as_it_was_given_and_the_more_exact_key_counts(
     ):
         (problem,) = problems(scene, settings={key: value})
         assert problem.startswith(f'settings["{key}"]: ') and said in problem, problem
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "works"),
-    [
-        ("detector.states.clear.false_discovery_rate", 0.6, "set detector.false_positives.rate"),
-        ("detector.confidence_threshold", 0.5, "set detector.operating_threshold"),
-        ("detector.false_positives.merge_overlap", 0.5, "set detector.false_positives.merges"),
-    ],
-)
-def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(key: str, value: float, works: str) -> None:
-    setting = {key: value}
-    found = problems("strait", settings=setting)
-    assert found[0].startswith(f'settings["{key}"]') and works in found[0]
-    with pytest.raises(InputError, match=works):
-        choose_detector("coastal", settings=setting)
-    assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
-
-
-def test_a_state_is_forced_for_the_whole_scene_and_conditions_and_files_replace_the_detector(scene, tmp_path):
     loaded = load_scene(scene, state="fog")
     names = [state.name for state in loaded.detector.states]
     forced = loaded.detector.performance.forced(loaded.times_s(0, loaded.steps), [0] * loaded.steps)
@@ -168,7 +165,7 @@ def test_a_state_is_forced_for_the_whole_scene_and_conditions_and_files_replace_
         load_scene(scene, state_from="conditions")
 
 
-def test_the_copy_in_a_run_has_the_settings_and_a_detector_file_without_any_byte_by_byte(scene, tmp_path):
+def test_the_copy_in_a_run_has_the_settings_and_its_detector_can_be_changed_but_not_its_truth(scene, tmp_path):
     changes: dict[str, Any] = {"waves.level": "small", "vessels.vehicle1.beam_m": 3.5}
     changes |= {FOG_RATE: 0.25, "detector.persistence.box_s": 1e-06}
     loaded = load_scene(scene, source="analytic", settings=changes, state="fog")
@@ -183,13 +180,10 @@ def test_the_copy_in_a_run_has_the_settings_and_a_detector_file_without_any_byte
     assert (tmp_path / "copy" / "detector.yaml").read_bytes() == (scene.parent / "detector.yaml").read_bytes()
     changed_detector = load_scene(scene, settings={DETECTOR_RATE: 0.25})  # an input all the same, which no run replaces
     assert scene.parent / "detector.yaml" in changed_detector.copy.files.values()
-
-
-def test_the_detector_of_a_finished_run_can_be_changed_and_its_truth_not(scene: Path, tmp_path: Path) -> None:
-    run_scene(load_scene(scene, source="analytic"), tmp_path / "run")
-    stored = open_run(tmp_path / "run")
-    detect_run(stored, tmp_path / "again", settings={FOG_RATE: 0.25}, state="fog")
-    detector = open_run(tmp_path / "again").scene.detector
+    run_scene(load_scene(scene, source="analytic"), tmp_path / "usual")
+    stored = open_run(tmp_path / "usual")
+    detect_run(stored, tmp_path / "redone", settings={FOG_RATE: 0.25}, state="fog")
+    detector = open_run(tmp_path / "redone").scene.detector
     assert (detector.states[1].false_discovery_rate, detector.performance.schedule) == (0.25, ((0.0, 1),))
     with pytest.raises(InputError, match=r"settings\[.waves.level.\]:\n  a finished run keeps its truth"):
         detect_run(stored, tmp_path / "other", settings={"waves.level": "small"})

@@ -41,7 +41,29 @@ def tagged(content: str, sentence: str, checksum: int | None = None) -> str:
     return f"\\{content}*{reduce(xor, content.encode()) if checksum is None else checksum:02X}\\{sentence}"
 
 
-def test_published_messages_are_decoded_and_time_is_found_wherever_logs_have_it(tmp_path):
+@pytest.mark.parametrize(("name", "expected"), FORMATS.items())
+def test_format_is_recognised_by_content(tmp_path, name, expected):
+    path = tmp_path / "data"
+    for content in ((SAMPLES / name).read_bytes(), gzip.compress((SAMPLES / name).read_bytes())):
+        path.write_bytes(content)
+        layout = recognise(path)
+        assert (layout and layout.name) == expected
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
+    lines = [line.split(",") for line in (SAMPLES / name).read_text().splitlines()]
+    order = random.Random(3).sample(range(len(lines[0])), len(lines[0]))
+    lines[0] = [cell.upper() if name != "marinecadastre.csv" else cell for cell in lines[0]]
+    path = tmp_path / "shuffled.csv"
+    path.write_text("\n".join(",".join(line[place] for place in order) for line in lines) + "\n")
+    assert recognise(path) is recognise(SAMPLES / name)
+    (found,), (expected,) = (read_csv(each, recognise(path)) for each in (path, SAMPLES / name))
+    for column in ("mmsi", "time_s", "latitude_deg", "longitude_deg", "speed_kn", "course_deg", "heading_deg"):
+        np.testing.assert_array_equal(getattr(found.positions, column), getattr(expected.positions, column))
+
+
+def test_published_messages_are_decoded_with_their_times_and_names_in_another_encoding(tmp_path):
     lines = tagged("c:1423133048", TYPE_1), f"1423133049 {TYPE_5[0]}", TYPE_5[1]
     (chunk,) = read_nmea(log(tmp_path, *lines))
     assert (chunk.messages, dict(chunk.dropped)) == (2, {})
@@ -71,31 +93,6 @@ def test_published_messages_are_decoded_and_time_is_found_wherever_logs_have_it(
     assert (len(chunk.positions), chunk.messages) == (1, 5)
     assert dict(chunk.dropped) == {"checksum": 2, "no_time": 1, "incomplete": 1}
     assert "line 2: does not match its checksum" in chunk.problems
-
-
-@pytest.mark.parametrize(("name", "expected"), FORMATS.items())
-def test_format_is_recognised_by_content(tmp_path, name, expected):
-    path = tmp_path / "data"
-    for content in ((SAMPLES / name).read_bytes(), gzip.compress((SAMPLES / name).read_bytes())):
-        path.write_bytes(content)
-        layout = recognise(path)
-        assert (layout and layout.name) == expected
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
-    lines = [line.split(",") for line in (SAMPLES / name).read_text().splitlines()]
-    order = random.Random(3).sample(range(len(lines[0])), len(lines[0]))
-    lines[0] = [cell.upper() if name != "marinecadastre.csv" else cell for cell in lines[0]]
-    path = tmp_path / "shuffled.csv"
-    path.write_text("\n".join(",".join(line[place] for place in order) for line in lines) + "\n")
-    assert recognise(path) is recognise(SAMPLES / name)
-    (found,), (expected,) = (read_csv(each, recognise(path)) for each in (path, SAMPLES / name))
-    for column in ("mmsi", "time_s", "latitude_deg", "longitude_deg", "speed_kn", "course_deg", "heading_deg"):
-        np.testing.assert_array_equal(getattr(found.positions, column), getattr(expected.positions, column))
-
-
-def test_a_ships_name_in_another_encoding_with_a_comma_or_of_two_lines_is_read_and_nan_is_as_good_as_empty(tmp_path):
     path = tmp_path / "names.csv"
     text = (SAMPLES / "danish.csv").read_bytes()
     path.write_bytes(text.replace(b"OSTFAERGEN", b"\xd8STF\xc6RGEN").replace(b"KUTTER", b'"KUTTER, ""X"""'))
@@ -245,7 +242,17 @@ def test_dates_that_can_be_several_times_are_quoted(tmp_path: Path, text: str) -
         list(read_nmea(log(tmp_path, f"{text},{TYPE_1}")))
 
 
-def test_a_tag_block_before_1990_gives_way_and_unix_times_days_apart_are_none(tmp_path):
+def test_a_tag_block_before_1990_and_wrong_unix_times_give_way_and_json_has_all_parts_of_a_message(tmp_path):
+    for name, value in (("toa", MOMENT_S + 0.5), ("rxuxtime", MOMENT_S + 0.5), ("rxtime", "20240205104408")):
+        head = {"class": "AIS", "device": "AIS-catcher", "mmsi": int(OWN_MMSI), name: value}
+        lines = [json.dumps({**head, "nmea": list(nmea)}) for nmea in ((TYPE_1,), TYPE_5)]
+        (chunk,) = read_nmea(log(tmp_path, *lines))
+        expected = MOMENT_S + (0.0 if name == "rxtime" else 0.5)
+        assert chunk.positions.time_s.tolist() == [expected] == chunk.particulars.time_s.tolist()
+        assert (chunk.messages, dict(chunk.dropped)) == (2, {})
+    vdr = f'2024-02-05T10:44:08.053Z,AIS,"UDP port:6039","{TYPE_1}"'
+    (chunk,) = read_nmea(log(tmp_path, "# VDR Log File", "timestamp,type,id,message", vdr))
+    assert chunk.positions.time_s.tolist() == pytest.approx([MOMENT_S + 0.053])
     tag = tagged("s:r1,c:315964800", TYPE_1)
     (chunk,) = read_nmea(log(tmp_path, f"2024-02-05T10:44:08Z {tag}", f"{tag},{MOMENT_S:.0f}"))
     assert chunk.positions.time_s.tolist() == [MOMENT_S] * 2
@@ -273,19 +280,6 @@ def test_a_tag_block_before_1990_gives_way_and_unix_times_days_apart_are_none(tm
             traffic_of(old_file(tmp_path, row(0), row(30, mmsi=mmsi)))
     rows = [row(second, mmsi=mmsi) for second, mmsi in ((0, "219000001.0"), (30, "2.19000001E+08"))]
     assert [vessel.mmsi for vessel in traffic_of(old_file(tmp_path, *rows)).vessels] == [219000001]
-
-
-def test_json_of_a_receiver_has_all_parts_of_a_message_and_a_vdr_file_its_quotes(tmp_path: Path) -> None:
-    for name, value in (("toa", MOMENT_S + 0.5), ("rxuxtime", MOMENT_S + 0.5), ("rxtime", "20240205104408")):
-        head = {"class": "AIS", "device": "AIS-catcher", "mmsi": int(OWN_MMSI), name: value}
-        lines = [json.dumps({**head, "nmea": list(nmea)}) for nmea in ((TYPE_1,), TYPE_5)]
-        (chunk,) = read_nmea(log(tmp_path, *lines))
-        expected = MOMENT_S + (0.0 if name == "rxtime" else 0.5)
-        assert chunk.positions.time_s.tolist() == [expected] == chunk.particulars.time_s.tolist()
-        assert (chunk.messages, dict(chunk.dropped)) == (2, {})
-    vdr = f'2024-02-05T10:44:08.053Z,AIS,"UDP port:6039","{TYPE_1}"'
-    (chunk,) = read_nmea(log(tmp_path, "# VDR Log File", "timestamp,type,id,message", vdr))
-    assert chunk.positions.time_s.tolist() == pytest.approx([MOMENT_S + 0.053])
 
 
 @pytest.mark.parametrize(("speeds_kn", "warned"), [((1, 2), False), ((1, 2, 3, 4), True), ((10, 10, 10), False)])
