@@ -126,10 +126,8 @@ LIMITS = (
     for real and simulated detections, but not the best for this detector.""",
     """The films are of three places. The intervals are over traffic, waves and weather in these places, not over
     places.""",
-    """The films were drawn before the sea had moving waves, glitter and softer reflections, and the sky clouds. Twelve
-    films of the strait (1,440 images) were drawn again with these: at confidence 0.25 and IoU 0.5 recall rises from
-    0.355 to 0.375, and false positives from 0.280 to 0.366 an image. As before, 99 % of them lie on a vessel, and half
-    reach below it by a quarter of its height or more.""",
+    """The films were drawn before the sea had moving waves, glitter and softer reflections, and the sky clouds.
+    Nothing on this page is of that sea.""",
     """Films in which a score is undefined, as the length of tracks without a track, do not count for it. Margins that
     are shares of a real mean take that mean as known.""",
     """The detector file is learned once. The intervals are over films, and leave out what learning from other films
