@@ -10,7 +10,7 @@ import modsim3d
 from modsim3d.cli.learn import learn_command
 from modsim3d.cli.learn_voyage import learn_voyage_command
 from modsim3d.cli.main import COMMANDS
-from modsim3d.core.arguments import with_arguments
+from modsim3d.core.errors import with_arguments
 from tests.api.test_names import ELSEWHERE
 
 FUNCTIONS = {
