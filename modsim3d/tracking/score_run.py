@@ -19,9 +19,9 @@ from modsim3d.tracking.score_outcome import ScoredTracks, TrackScores, WorldTrac
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scored import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import score_tracks
-from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, score_world
+from modsim3d.tracking.world.scoring import IN_METRES, score_world
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.tracks import Similarity, SimilarityName, TrackSet, WorldTracks
+from modsim3d.tracks.tracks import DEFAULT_GATE_M, Similarity, SimilarityName, TrackSet, WorldTracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 from modsim3d.tracks.world_reading import is_world, read_world_tracks
 

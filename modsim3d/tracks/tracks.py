@@ -1,17 +1,18 @@
-"""Tracks in the images of a run."""
+"""Tracks in the images of a run, and in the world."""
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import Array, Columns, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask
 from modsim3d.core.boxes import centres, iou
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
@@ -126,6 +127,44 @@ class WorldTracks:
         """Median time between two estimates of a track, 0 if no track has two."""
         gaps = np.diff(self.time_s)[np.diff(self.track) == 0]
         return float(np.median(gaps)) if len(gaps) else 0.0
+
+
+DEFAULT_GATE_M = 50.0  # a track in the world that is farther from a vessel does not follow it
+
+
+@dataclass(frozen=True, eq=False)
+class TrackEstimates:
+    """Estimate that stands for each track at each step: m of them, in order of step and track; shapes (m,)."""
+
+    step: Indices
+    row: Indices  # of the tracks
+
+    @classmethod
+    def of(cls, times_s: Array, tracks: WorldTracks) -> Self:
+        """The estimate of each track that is nearest in time to each step, if it is near enough: within half of the
+        median time between two estimates of a track, or half a step if that is longer. So a tracker may be slower than
+        the run's steps and is still there at each."""
+        step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+        reach_s = max(step_s, tracks.interval_s) / 2
+        reach_s += 1e-6 * max(reach_s, 1.0)  # times have rounding errors
+        parts = list(_nearest(times_s, tracks, reach_s))
+        step, row = np.concatenate(parts, axis=1) if parts else np.zeros((2, 0), dtype=np.int64)
+        order = np.argsort(step, kind="stable")
+        return cls(step[order], row[order])
+
+
+def _nearest(times_s: Array, tracks: WorldTracks, reach_s: float) -> Iterator[Indices]:
+    """Steps that an estimate of each track reaches, and the row of the nearest one, shape (2, n)."""
+    edges = np.flatnonzero(np.diff(tracks.track, prepend=NOBODY, append=NOBODY)).tolist()
+    for first, stop in pairwise(edges):
+        mine = tracks.time_s[first:stop]
+        begin, end = np.searchsorted(times_s, (mine[0] - reach_s, mine[-1] + reach_s)).tolist()
+        wanted = times_s[begin:end]
+        after = np.clip(np.searchsorted(mine, wanted), 0, len(mine) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = np.where(wanted - mine[before] <= mine[after] - wanted, before, after)
+        near = np.flatnonzero(np.abs(mine[nearer] - wanted) <= reach_s)
+        yield np.stack([begin + near, first + nearer[near]])
 
 
 SimilarityName = Literal["iou", "centre"]

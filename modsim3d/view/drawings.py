@@ -8,18 +8,21 @@ from typing import Any
 
 from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path, out_file
+from modsim3d.core.text import counted
 from modsim3d.core.written import Written
 from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.selection import Selection, find_step, select, select_cameras, times_of
 from modsim3d.runs.stored_run import StoredRun, opened_run
+from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.tracks.world_reading import is_world, read_world_tracks
 from modsim3d.view.films.files import FORMATS, check_encoder
 from modsim3d.view.films.film import Showing, draw_film, draw_picture
 from modsim3d.view.films.plan import WIDTH_PX, FilmPlan
 from modsim3d.view.films.renderer import bearings_of
 from modsim3d.view.films.request import PictureRequest, parse_look
-from modsim3d.view.followed_tracks import followed_tracks
+from modsim3d.view.followed_tracks import FollowedTracks, followed_tracks
 from modsim3d.view.map_marks import BirdsEye
 from modsim3d.view.map_picture import check_map, save_map
 from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
@@ -175,17 +178,18 @@ def view_map(
     """
     _check_width(width)
     request, run = _request("map", layers, None, None, None, tracks), opened_run(run)
-    followed, chosen = followed_tracks(tracks, run, similarity, threshold), select_cameras(run, cameras)
+    followed, in_world, notes = _tracks(request, run, tracks, similarity, threshold)
+    chosen = select_cameras(run, cameras)
     shown = len(times_of(run)) - 1 if step is None else find_step(run, str(step))
     path = out_file(out, run.folder / f"map_{shown:06d}.png")
     check_map(path)
     names = [run.scene.cameras[index].name for index in chosen]
     with _claimed(path, run, overwrite):
         seen = (frame for frame in run.frames(shown, shown + 1) if frame.camera in names)
-        birds_eye = BirdsEye(run.scene, run.steps, chosen, request.map_layers)
+        birds_eye = BirdsEye(run.scene, run.steps, chosen, request.map_layers, in_world)
         bearings = bearings_of(run.scene, seen, followed)
         save_map(birds_eye, shown, path, width or WIDTH_PX, bearings)
-    return Written((path,), () if followed is None else (followed.sentence(),))
+    return Written((path,), notes)
 
 
 def view_sheet(run: StoredRun | StrPath, *, overwrite: bool = False) -> Written:
@@ -242,9 +246,25 @@ def _planned(
 ) -> tuple[Selection, FilmPlan, tuple[str, ...]]:
     """Frames to draw and how, and a sentence on the tracks; `steps` are what `select` takes."""
     run = opened_run(run)
-    followed = followed_tracks(tracks, run, similarity, threshold)
+    followed, in_world, notes = _tracks(request, run, tracks, similarity, threshold)
     selection = select(run, select_cameras(run, cameras), **steps)
-    return selection, request.plan(selection, followed), () if followed is None else (followed.sentence(),)
+    return selection, request.plan(selection, followed, in_world), notes
+
+
+def _tracks(
+    request: PictureRequest, run: StoredRun, tracks: StrPath | None, similarity: str | None, threshold: float | None
+) -> tuple[FollowedTracks | None, WorldTracks | None, tuple[str, ...]]:
+    """The tracks in the images, or those in the world, and a sentence on them."""
+    if tracks is None or not is_world(tracks):
+        followed = followed_tracks(tracks, run, similarity, threshold)
+        return followed, None, () if followed is None else (followed.sentence(),)
+    if "map" not in request.kinds:
+        raise ModsimError(f"{tracks} has tracks in the world, which maps show: --kind map or plan")
+    if (similarity, threshold) != (None, None):
+        raise ModsimError("--similarity and --threshold are for tracks in the images: leave them out")
+    in_world = read_world_tracks(tracks, run)
+    count = counted(len(in_world.track_names), "track")
+    return None, in_world, (f"Tracks of {in_world.name}: {count} in the world.",)
 
 
 def _film_format(asked: str | None, out: Path | None) -> str:

@@ -1,4 +1,4 @@
-"""Marks on a map: obstacles, cameras and vessels with their tracks, as artists that are moved step by step."""
+"""Marks on a map: obstacles, cameras, vessels, detections and tracks, as artists that are moved step by step."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.geometry.kinematics import union_of
 from modsim3d.scene.scene import Scene
+from modsim3d.tracks.tracks import TrackEstimates, WorldTracks
 from modsim3d.view import palette
-from modsim3d.view.lights import ground_velocities
 from modsim3d.view.map_names import MapNames
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.layers import NO_LAYERS, MapLayers
@@ -50,6 +50,14 @@ class BirdsEye:
     steps: int
     cameras: tuple[int, ...]
     layers: MapLayers = NO_LAYERS
+    world_tracks: WorldTracks | None = None  # of a tracker
+
+    @cached_property
+    def estimates(self) -> TrackEstimates | None:
+        """The estimates that stand for the tracks in the world at each step."""
+        if self.world_tracks is None or not self.layers.tracks:
+            return None
+        return TrackEstimates.of(self.scene.times_s(0, self.steps), self.world_tracks)
 
     @cached_property
     def track_steps(self) -> Indices:
@@ -151,8 +159,7 @@ def ring_step(about_m: float) -> float:
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))
 
 
-VECTOR_S, NM_M = 360.0, 1852.0  # of a speed vector, as on a radar; a nautical mile
-MAX_APPROACHES, MAX_NAMES = 3, 40  # as many approaches are written, and approaches and tracks together
+NM_M = 1852.0
 TRAIL_S = 60.0  # the last part of a track, of this duration, is drawn bold
 TRAIL_POINTS = 12  # names keep off a trail through so many of its points
 RINGS = 5  # the most range rings from a camera to the farthest corner of the map
@@ -163,7 +170,7 @@ LAND, SHORE, SOIL = map(palette.css, (palette.LAND, palette.OBSTACLE, palette.SO
 CAMERA, RING = "#c0392b", "#6d7b85"
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
 _HULL = np.array([(-1, -0.3), (0.6, -0.3), (0.6, 0), (1, 0), (0.6, 0), (0.6, 0.3), (-1, 0.3)])  # with the tick ahead
-_NOWHERE = np.full((2, 2), np.nan)
+NOWHERE = np.full((2, 2), np.nan)
 
 
 @dataclass(eq=False)
@@ -197,6 +204,15 @@ class MapSheet:
         self.axes.add_patch(area)
         self.moving += [area] * moves
         return area
+
+    def lines(self, label: str, **look: Any) -> LineCollection:
+        """Lines of several colours, which `put` moves."""
+        from matplotlib.collections import LineCollection
+
+        lines = LineCollection([NOWHERE], label=label, **look)
+        self.axes.add_collection(lines, autolim=False)
+        self.moving.append(lines)
+        return lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,20 +272,20 @@ class VesselMark:
         self._track = birds_eye.tracks_m[:, index]
         sheet.line(self._track, color=colour, lw=0.8, alpha=0.4, zorder=4, label=sheet.once("track in the run"))
         trail = sheet.once(f"its last {TRAIL_S:g} s")
-        self._trail = sheet.line(_NOWHERE, moves=True, color=colour, lw=2.0, zorder=5, label=trail)
+        self._trail = sheet.line(NOWHERE, moves=True, color=colour, lw=2.0, zorder=5, label=trail)
         self._least_m = MARKER_SHARE * (birds_eye.extent_m[1] - birds_eye.extent_m[0])
         self._arrow: Polygon | None = None
         self._bow: Line2D | None = None
         filled: dict[str, Any] = {"facecolor": colour, "edgecolor": "black"}
         if self._vessel.length_m < self._least_m:
             label = sheet.once("own ship" if own else "small vessel, with its heading")
-            self._arrow = sheet.area(_NOWHERE, moves=True, **filled, lw=0.7 * weight, zorder=6, label=label)
-            self._hull = sheet.area(_NOWHERE, moves=True, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
+            self._arrow = sheet.area(NOWHERE, moves=True, **filled, lw=0.7 * weight, zorder=6, label=label)
+            self._hull = sheet.area(NOWHERE, moves=True, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
             sheet.symbols[self._arrow] = _ARROW
         else:
             label = sheet.once("own ship, with a tick ahead" if own else "vessel at its size, with a tick ahead")
-            self._bow = sheet.line(_NOWHERE, moves=True, color="black", lw=max(1.0, 0.6 * weight), zorder=6)
-            self._hull = sheet.area(_NOWHERE, moves=True, **filled, lw=weight, zorder=7, label=label)
+            self._bow = sheet.line(NOWHERE, moves=True, color="black", lw=max(1.0, 0.6 * weight), zorder=6)
+            self._hull = sheet.area(NOWHERE, moves=True, **filled, lw=weight, zorder=7, label=label)
             sheet.symbols[self._hull] = _HULL
         self._name = sheet.names.add(self._vessel.name, index, fontsize=7.5, weight="bold" if own else "normal")
 
@@ -317,12 +333,12 @@ class CameraMark:
         first = index == self._birds_eye.cameras[0]
         self._rings = RangeRings(sheet, moves=moves) if first else None
         label = sheet.once("field of view")
-        self._seen = sheet.area(_NOWHERE, moves=moves, facecolor=CAMERA, alpha=0.09, lw=0, zorder=1, label=label)
+        self._seen = sheet.area(NOWHERE, moves=moves, facecolor=CAMERA, alpha=0.09, lw=0, zorder=1, label=label)
         edge = {"color": CAMERA, "lw": 0.7, "alpha": 0.8, "zorder": 4}
-        self._edges = [sheet.line(_NOWHERE, moves=moves, **edge) for _ in range(2)]
+        self._edges = [sheet.line(NOWHERE, moves=moves, **edge) for _ in range(2)]
         dot = {"marker": "o", "ls": "", "ms": 5 if self._camera.mount.vessel is None else 3.5, "mec": "white"}
         label = sheet.once("camera")
-        self._dot = sheet.line(_NOWHERE[:1], moves=moves, color=CAMERA, mew=0.6, zorder=8, label=label, **dot)
+        self._dot = sheet.line(NOWHERE[:1], moves=moves, color=CAMERA, mew=0.6, zorder=8, label=label, **dot)
         self._name = None
         mount, (x0, x1, y0, y1), beyond_m = self._camera.mount, self._birds_eye.extent_m, 0.0
         if mount.vessel is None:
@@ -360,7 +376,7 @@ class RangeRings:
         self._sheet, self._extent_m = sheet, sheet.birds_eye.extent_m
         ring = {"color": RING, "lw": 0.5, "ls": (0, (4, 4)), "zorder": 1.5}
         labels = [sheet.once("range from camera") for _ in range(RINGS)]
-        self._rings = [sheet.line(_NOWHERE, moves=moves, label=label, **ring) for label in labels]
+        self._rings = [sheet.line(NOWHERE, moves=moves, label=label, **ring) for label in labels]
         self._names = [sheet.names.add("", fontsize=RADIUS_PT, color=RING) for _ in range(RINGS)]
 
     def show(self, at: Array, farthest_m: float) -> None:
@@ -374,91 +390,12 @@ class RangeRings:
         angles = np.linspace(0, 2 * np.pi, 361)
         around = np.column_stack([np.cos(angles), np.sin(angles)])
         for i, (line, name) in enumerate(zip(self._rings, self._names, strict=True)):
-            circle = at + radii[i] * metres * around if i < len(radii) else _NOWHERE
+            circle = at + radii[i] * metres * around if i < len(radii) else NOWHERE
             line.set_data(*circle.T)
             free = circle[(np.abs(circle - middle) < room).all(axis=1)]
             name.place_m = None
             if len(free):
                 name.show(f"{radii[i]:g} {unit}", free[np.argmin(free[:, 1])])
-
-
-class PlanMarks:
-    """Speed vectors, closest points of approach, and bearings of detections and tracks."""
-
-    def __init__(self, sheet: MapSheet) -> None:
-        """Put the lines where `show` finds them."""
-        self._sheet, layers = sheet, sheet.birds_eye.layers
-        dotted = (0, (2, 2))
-        self._vectors = self._lines(layers.vectors, "speed vector, 6 min", lw=1.2, zorder=5.5)
-        self._approaches = self._lines(
-            layers.cpa and bool(sheet.birds_eye.scene.own_ships),
-            "closest approach within 6 min",
-            lw=1.6,
-            color="black",
-            zorder=8.4,
-        )
-        self._detections = self._lines(layers.detections, "bearing of a detection", lw=0.8, ls=dotted, zorder=4.5)
-        self._tracks = self._lines(layers.tracks, "bearing of a track", lw=1.4, zorder=4.6, alpha=0.6)
-        self._names = [sheet.names.add("", fontsize=7) for _ in range(MAX_NAMES * (layers.cpa or layers.tracks))]
-
-    def _lines(self, wanted: bool, label: str, **look: Any) -> LineCollection | None:
-        from matplotlib.collections import LineCollection
-
-        if not wanted:
-            return None
-        lines = LineCollection([_NOWHERE], label=label, **look)
-        self._sheet.axes.add_collection(lines, autolim=False)
-        self._sheet.moving.append(lines)
-        return lines
-
-    def show(self, moment: Moment) -> None:
-        """Move the lines to a moment."""
-        scene, names = self._sheet.birds_eye.scene, iter(self._names)
-        velocities_m_s, present = (
-            ground_velocities(scene, moment.step),
-            np.flatnonzero(moment.poses.present[0]).tolist(),
-        )
-        here = moment.poses.positions_m[0, :, :2]
-        ends = np.stack([here, here + VECTOR_S * velocities_m_s], axis=1)
-        colours = [palette.vessel_colour(index, scene.own_ships) for index in present]
-        _put(self._vectors, [ends[index] for index in present], colours)
-        own = [index for index in scene.own_ships if index in present][:1]
-        pairs = [(*own, other) for other in present if other not in own] if own and self._approaches else []
-        found = [(*_approach(here[[*pair]], velocities_m_s[[*pair]]), pair[1]) for pair in pairs]
-        nearest = sorted((each for each in found if 0 < each[1] <= VECTOR_S), key=lambda each: each[0])[:MAX_APPROACHES]
-        _put(self._approaches, [line for _, _, line, _ in nearest])
-        for distance_m, after_s, line, other in nearest:
-            name = f"{scene.vessel_names[other]}: CPA {distance_m:.0f} m in {after_s / 60:.1f} min"
-            next(names).show(name, line.mean(axis=0))
-        x0, x1, y0, y1 = self._sheet.birds_eye.extent_m
-        reach = np.linspace(0, np.hypot(x1 - x0, y1 - y0), 200)[:, None]
-        for lines, of_tracks in ((self._detections, False), (self._tracks, True)):
-            some = [each for each in moment.bearings if (each.track is not None) == of_tracks]
-            rays = [each.at_m + reach * each.direction for each in some]
-            _put(lines, [ray[[0, -1]] for ray in rays], [each.colour for each in some])
-            for bearing, ray in zip(some, rays, strict=True) if of_tracks and lines else ():
-                inside = ray[((ray > (x0, y0)) & (ray < (x1, y1))).all(axis=1)]
-                if len(inside) and (name_there := next(names, None)):
-                    name_there.show(f"#{bearing.track}", inside[int(0.95 * len(inside))])
-        for unused in names:
-            unused.place_m = None
-
-
-def _put(lines: LineCollection | None, segments: list[Array], colours: Sequence[Colour] = ()) -> None:
-    """Put segments, shape (2, 2) each, and their colours into lines that are shown."""
-    if lines is not None:
-        lines.set_segments(segments or [_NOWHERE])
-        if colours:
-            lines.set_color([palette.unit_rgb(colour) for colour in colours])
-
-
-def _approach(here_m: Array, velocities_m_s: Array) -> tuple[float, float, Array]:
-    """Least distance of own ship and another vessel on their courses, in metres, after how many seconds, and where both
-    are then, shape (2, 2)."""
-    apart, closing = here_m[1] - here_m[0], velocities_m_s[1] - velocities_m_s[0]
-    after_s = -float(apart @ closing) / max(float(closing @ closing), 1e-12)
-    then = here_m + after_s * velocities_m_s
-    return float(np.hypot(*(then[1] - then[0]))), after_s, then
 
 
 def draw_circles(sheet: MapSheet) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import put_in_place
-from modsim3d.view import map_marks
+from modsim3d.view import map_marks, plan_marks
 from modsim3d.view.map_names import MapNames
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ FURNITURE, INNER = (0.13, 0.08), (0.92, 0.7)
 """Height of title, axis and key, and width of the map, as shares of the picture's width: the first of a wide map, with
 its key below it, the second of a high one, with its key beside it."""
 SEA = "#eaf1f5"
+Mark = map_marks.VesselMark | map_marks.CameraMark | plan_marks.PlanMarks | plan_marks.WorldTrackMarks
 
 
 def check_matplotlib() -> None:
@@ -67,9 +68,10 @@ class Map:
         self.sheet.moving.append(self.sheet.names.leaders)
         map_marks.draw_circles(self.sheet)
         vessels, cameras = map_marks.vessel_marks(self.sheet), map_marks.camera_marks(self.sheet)
-        marks = map_marks.PlanMarks(self.sheet)
-        self._marks: list[map_marks.VesselMark | map_marks.CameraMark | map_marks.PlanMarks]
-        self._marks = [*vessels, *cameras, marks]
+        marks = plan_marks.PlanMarks(self.sheet)
+        self._marks: list[Mark] = [*vessels, *cameras, marks]
+        if birds_eye.estimates is not None:
+            self._marks.append(plan_marks.WorldTrackMarks(self.sheet))
         map_marks.draw_obstacles(self.sheet)
         handles = [self._in_key(artist) for artist in axes.get_legend_handles_labels()[0]]
         place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}

@@ -29,7 +29,7 @@ class PlanMarks:
     def __init__(self, sheet: MapSheet) -> None:
         """Put the lines where `show` finds them."""
         self._sheet, layers = sheet, sheet.birds_eye.layers
-        dotted = (0, (2, 2))
+        dotted, bearings = (0, (2, 2)), layers.tracks and sheet.birds_eye.world_tracks is None
         self._vectors = self._lines(layers.vectors, "speed vector, 6 min", lw=1.2, zorder=5.5)
         self._approaches = self._lines(
             layers.cpa and bool(sheet.birds_eye.scene.own_ships),
@@ -39,7 +39,7 @@ class PlanMarks:
             zorder=8.4,
         )
         self._detections = self._lines(layers.detections, "bearing of a detection", lw=0.8, ls=dotted, zorder=4.5)
-        self._tracks = self._lines(layers.tracks, "bearing of a track", lw=1.4, zorder=4.6, alpha=0.6)
+        self._tracks = self._lines(bearings, "bearing of a track", lw=1.4, zorder=4.6, alpha=0.6)
         self._names = [sheet.names.add("", fontsize=7) for _ in range(MAX_NAMES * (layers.cpa or layers.tracks))]
 
     def _lines(self, wanted: bool, label: str, **look: Any) -> LineCollection | None:
@@ -84,11 +84,14 @@ class WorldTrackMarks:
 
     def __init__(self, sheet: MapSheet) -> None:
         """Put the lines where `show` finds them."""
+        from matplotlib.patheffects import withStroke
+
         self._sheet, self._tracks = sheet, sheet.birds_eye.world_tracks
-        self._crosses = sheet.lines("track in the world", lw=1.8, zorder=8.2)
-        self._trails = sheet.lines(f"its last {TRAIL_S:g} s", lw=1.0, ls=(0, (1, 1)), zorder=8.0)
-        self._ellipses = sheet.lines("95 % by its covariance", lw=0.8, zorder=8.1)
-        self._vectors = sheet.lines("its speed vector, 6 min", lw=1.0, ls=(0, (5, 3)), zorder=5.6)
+        edge = [withStroke(linewidth=3.4, foreground="white")]  # a cross lies on a vessel of its colour
+        self._crosses = sheet.lines("track in the world", lw=1.6, zorder=8.2, path_effects=edge)
+        self._trails = sheet.lines(f"last {TRAIL_S:g} s of a track", lw=1.0, ls=(0, (1, 1)), zorder=8.0)
+        self._ellipses = sheet.lines("95 % by a track's covariance", lw=0.8, zorder=8.1)
+        self._vectors = sheet.lines("speed vector of a track", lw=1.0, ls=(0, (5, 3)), zorder=5.6)
         self._names = [sheet.names.add("", fontsize=7) for _ in range(MAX_NAMES)]
 
     def show(self, moment: Moment) -> None:
@@ -111,11 +114,14 @@ class WorldTrackMarks:
 
     def _colours(self, at: Array, moment: Moment) -> list[Colour]:
         """Colour of the vessel nearest to each place, vermilion where none is as near as a vessel that is followed."""
-        here = np.where(moment.poses.present[0][:, None], moment.poses.positions_m[0, :, :2], np.inf)
+        present = np.flatnonzero(moment.poses.present[0])
+        here = moment.poses.positions_m[0, present, :2]
         apart = np.linalg.norm(at[:, None] - here, axis=2)
         own_ships = moment.birds_eye.scene.own_ships
         return [
-            palette.vessel_colour(int(each.argmin()), own_ships) if each.min() <= DEFAULT_GATE_M else palette.ALARM
+            palette.vessel_colour(int(present[each.argmin()]), own_ships)
+            if each.min(initial=np.inf) <= DEFAULT_GATE_M
+            else palette.ALARM
             for each in apart
         ]
 
@@ -132,7 +138,7 @@ class WorldTrackMarks:
 def _ellipses(covariances_m2: Array) -> Array:
     """The ellipses of 95 % of plane normal distributions about their means, (n, 2, 2) to (n, 49, 2); mere points where
     the covariance is unknown."""
-    known = np.isfinite(covariances_m2).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(covariances_m2).all(axis=(1, 2)))
     variances, axes = np.linalg.eigh(np.where(known[:, None, None], covariances_m2, 0.0))
     angles = np.linspace(0, 2 * np.pi, 49)
     unit = np.column_stack([np.cos(angles), np.sin(angles)])

@@ -13,9 +13,9 @@ from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.scores.errors import nees
 from modsim3d.tracking.scores.scored import SetDistance
-from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
+from modsim3d.tracking.world.following import WorldTruth
 from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
-from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.tracks.tracks import TrackEstimates, WorldTracks
 from tests.scenes import camera_keys
 from tests.tracks import track_files
 from tests.tracks.track_files import ANCHORED, ASTERN, CROSSER, OWN, PLACES_M, STARTS_M, STEPS, TIMES_S, VELOCITIES_M_S

@@ -20,12 +20,14 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.view import palette
 from modsim3d.view.films.renderer import MapFilmRenderer
-from modsim3d.view.map_marks import RINGS, Bearing, BirdsEye, _approach, footprint, hull_m, ring_step, view_of
+from modsim3d.view.map_marks import RINGS, TRAIL_S, Bearing, BirdsEye, footprint, hull_m, ring_step, view_of
 from modsim3d.view.map_picture import Map, map_figure, map_height_px, map_picture
-from modsim3d.view.pictures.layers import PLAN, MapLayers
+from modsim3d.view.pictures.layers import MAP, PLAN, MapLayers
 from modsim3d.view.pictures.plain import Solids
+from modsim3d.view.plan_marks import VECTOR_S, _approach
 from tests.scenes import INTRINSICS, crossing
 from tests.view.test_film import view
 
@@ -260,6 +262,50 @@ def test_hulls_and_obstacles_have_their_size_and_the_bearing_of_a_box_points_at_
                 assert off < (box_px[2] - box_px[0]) / 2000 + 1e-3  # of the half angle, at a focal length of 1000 px
                 whole += 1
     assert whole > 5
+
+
+def test_tracks_in_the_world_lie_where_they_are_in_the_colour_of_the_vessel_that_is_near(scene):
+    steps, times_s = scene.steps, scene.times_s(0, scene.steps)
+    places = scene.poses.poses(0, steps).positions_m[:, 0, :2]
+    at_m = np.concatenate(
+        [places + np.array([0, 30]), places + np.array([0, 70])]
+    )  # of one within 50 m of her, and of one that is not
+    velocity_m_s = np.where(np.arange(2 * steps)[:, None] < steps, [2.0, 1.0], np.nan)
+    covariance = np.where(np.arange(2 * steps)[:, None, None] < steps, [[25.0, 0.0], [0.0, 100.0]], np.nan)
+    track = np.repeat([0, 1], steps)
+    tracks = WorldTracks.of("t", track, ("A7", "B"), np.tile(times_s, 2), at_m, velocity_m_s, covariance)
+    axes = map_figure(BirdsEye(scene, steps, (0,), PLAN, tracks), 5, 900).axes[0]
+    lines = dict(zip(axes.get_legend_handles_labels()[1], axes.get_legend_handles_labels()[0], strict=True))
+    crosses = lines["track in the world"]
+    colours = [palette.unit_rgb(palette.vessel_colour(0)), palette.unit_rgb(palette.ALARM)]
+    np.testing.assert_allclose([np.nanmean(each, axis=0) for each in crosses.get_segments()], at_m[[5, steps + 5]])
+    np.testing.assert_allclose(crosses.get_colors()[:, :3], colours)
+    known, unknown = lines["95 % by a track's covariance"].get_segments()
+    assert np.ptp(known, axis=0) == pytest.approx(2 * math.sqrt(5.991) * np.array([5, 10]), rel=1e-3)
+    assert np.ptp(unknown, axis=0).tolist() == [0, 0]
+    trail = lines[f"last {TRAIL_S:g} s of a track"].get_segments()[0]
+    np.testing.assert_allclose(trail, at_m[:6])
+    vector = lines["speed vector of a track"].get_segments()[0]
+    np.testing.assert_allclose(np.diff(vector, axis=0), [[2 * VECTOR_S, VECTOR_S]])
+    assert {"#A7", "#B"} <= {text.get_text() for text in axes.texts if text.get_visible()}
+    labels = map_figure(BirdsEye(scene, steps, (0,), MAP, tracks), 5, 900).axes[0].get_legend_handles_labels()[1]
+    assert "track in the world" not in labels
+
+
+def test_a_file_of_tracks_in_the_world_is_drawn_on_maps_and_plans_alone(call, run, tmp_path):
+    (tmp_path / "world.csv").write_text("track,time_s,w1_m,w2_m\nT1,0.5,250,12\nT1,0.6,250,12\nT2,0.5,90,0\n")
+    given = "--tracks", tmp_path / "world.csv"
+    with_tracks, without = tmp_path / "map.png", tmp_path / "without.png"
+    status, said = call("view", "map", run, "5", *given, "--out", with_tracks)
+    assert status == 0 and "Tracks of world: 2 tracks in the world." in said
+    assert call("view", "map", run, "5", "--layers", "vectors,cpa,detections", "--out", without)[0] == 0
+    assert with_tracks.read_bytes() != without.read_bytes()
+    assert call("view", "frame", run, "5", *given, "--kind", "plan", "--out", tmp_path / "plan.png")[0] == 0
+    status, said = call("view", "frame", run, "5", *given, "--out", tmp_path / "none.png")
+    assert status == main.BAD_INPUT and "tracks in the world, which maps show: --kind map or plan" in said
+    status, said = call("view", "map", run, "5", *given, "--threshold", "0.4", "--out", tmp_path / "none.png")
+    assert status == main.BAD_INPUT and "are for tracks in the images" in said
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_layers_are_drawn_on_request_rings_count_in_their_unit_and_a_scene_on_the_earth_has_north(birds_eye):

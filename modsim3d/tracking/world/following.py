@@ -14,7 +14,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.geometry.kinematics import HullTracks, velocities
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.errors import distances
-from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.tracks.tracks import TrackEstimates, WorldTracks
 from modsim3d.tracks.true_tracks import best_pairs
 from modsim3d.world.encounters import hull_tracks
 
@@ -101,41 +101,6 @@ def seen(rows: RunRows) -> Mask:
 
 
 _LEAST = 0.5  # similarity at the gate, 1 for two equal places: then two pairs are better than one, wherever they can be
-
-
-@dataclass(frozen=True, eq=False)
-class TrackEstimates:
-    """Estimate that stands for each track at each step: m of them, in order of step and track; shapes (m,)."""
-
-    step: Indices
-    row: Indices  # of the tracks
-
-    @classmethod
-    def of(cls, times_s: Array, tracks: WorldTracks) -> TrackEstimates:
-        """The estimate of each track that is nearest in time to each step, if it is near enough: within half of the
-        median time between two estimates of a track, or half a step if that is longer. So a tracker may be slower than
-        the run's steps and is still there at each."""
-        step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-        reach_s = max(step_s, tracks.interval_s) / 2
-        reach_s += 1e-6 * max(reach_s, 1.0)  # times have rounding errors
-        parts = list(_nearest(times_s, tracks, reach_s))
-        step, row = np.concatenate(parts, axis=1) if parts else np.zeros((2, 0), dtype=np.int64)
-        order = np.argsort(step, kind="stable")
-        return cls(step[order], row[order])
-
-
-def _nearest(times_s: Array, tracks: WorldTracks, reach_s: float) -> Iterator[Indices]:
-    """Steps that an estimate of each track reaches, and the row of the nearest one, shape (2, n)."""
-    edges = np.flatnonzero(np.diff(tracks.track, prepend=NOBODY, append=NOBODY)).tolist()
-    for first, stop in pairwise(edges):
-        mine = tracks.time_s[first:stop]
-        begin, end = np.searchsorted(times_s, (mine[0] - reach_s, mine[-1] + reach_s)).tolist()
-        wanted = times_s[begin:end]
-        after = np.clip(np.searchsorted(mine, wanted), 0, len(mine) - 1)
-        before = np.maximum(after - 1, 0)
-        nearer = np.where(wanted - mine[before] <= mine[after] - wanted, before, after)
-        near = np.flatnonzero(np.abs(mine[nearer] - wanted) <= reach_s)
-        yield np.stack([begin + near, first + nearer[near]])
 
 
 @dataclass(frozen=True, eq=False)

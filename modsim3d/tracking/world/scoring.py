@@ -24,7 +24,7 @@ from modsim3d.tracking.world.collision import (
     predicted_approaches,
 )
 from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
-from modsim3d.tracks.tracks import WorldTracks
+from modsim3d.tracks.tracks import DEFAULT_GATE_M, WorldTracks
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,6 @@ def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, i
     return switches, begins - int(not on[0])
 
 
-DEFAULT_GATE_M = 50.0  # a track farther from a vessel than that does not follow it
 IN_METRES = SetDistance(cutoff=50.0)  # GOSPA's c and p by default
 OSPA2_WINDOW_S = 30.0  # so long are the windows of OSPA(2)
 _DIMENSIONS = {"nees": 2, "nees_velocity": 2, "nees_state": 4}

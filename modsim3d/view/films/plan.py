@@ -16,6 +16,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, faults_of
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
+from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_marks import BirdsEye
@@ -200,6 +201,7 @@ class FilmPlan:
     enlarged: float = 1.0  # size of text and lines, for a picture that a page shows smaller than it is
     key: bool = True  # whether there is a legend
     map_layers: MapLayers = MAP  # of a map
+    world_tracks: WorldTracks | None = None  # of a tracker, for maps
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -213,7 +215,7 @@ class FilmPlan:
 
     def birds_eye(self, scene: Scene) -> BirdsEye:
         """Content of the map."""
-        return BirdsEye(scene, self.steps, self.cameras, self.map_layers)
+        return BirdsEye(scene, self.steps, self.cameras, self.map_layers, self.world_tracks)
 
     def layout(self, scene: Scene) -> FilmLayout:
         """The places of panels and legend."""

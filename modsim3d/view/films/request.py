@@ -9,6 +9,7 @@ from modsim3d.io.validation import nearest
 from modsim3d.render.context import open_context
 from modsim3d.runs.counts import NOTHING_WRONG
 from modsim3d.runs.selection import Selection
+from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.view.films import plan as film_plan
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_picture import check_matplotlib
@@ -84,7 +85,12 @@ class PictureRequest:
             return MapLayers.of(self.layers)
         return PLAN if self.kind == "plan" or self.with_tracks else MAP
 
-    def plan(self, selection: Selection, tracks: FollowedTracks | None = None) -> film_plan.FilmPlan:
+    def plan(
+        self,
+        selection: Selection,
+        tracks: FollowedTracks | None = None,
+        world_tracks: WorldTracks | None = None,
+    ) -> film_plan.FilmPlan:
         """Plan of the pictures of some frames of a run.
         Raises ModsimError if a part of the image is not in it, or a library that this needs is not there."""
         style, boxes_on_scene = self._style()
@@ -116,6 +122,7 @@ class PictureRequest:
             tracks=tracks,
             vessels=film_plan.vessels_in(selection, crops) if kinds & {"scene", "ids", "corners"} else (),
             map_layers=self.map_layers,
+            world_tracks=world_tracks,
         )
 
     def _style(self) -> tuple[RenderStyle, bool]:
