@@ -33,7 +33,7 @@ MAX_JSON_VALUES = 2_000_000  # of vessels or a scene, each up to 100 bytes of me
 POSE_BYTES_PER_VALUE = 8  # a pose file may have more values if they are as long as those of poses, 12 bytes each
 MAX_POSES = 200_000_000  # vessels times steps, present or not, at 33 bytes: 2000 vessels for a day take 173 million
 COCO_BYTES_PER_VALUE = 4  # a COCO file may have more values if they are as long as those of its masks, 123.4 and 56
-MAX_PROBLEMS = 10_000  # wrong entries of one file after which no more of it is read, unless they are to be left out
+MAX_BAD_ENTRIES = 10_000  # wrong entries of one file after which no more of it is read, unless they are to be left out
 MAX_BAD_ROWS = 50_000  # rows without the header's cells in 16 MB of AIS, a third of them, after which no more is read
 MAX_LINE_CHARACTERS = 10_000  # of a line of numbers: MOT has ten of them, YOLO six
 # Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:

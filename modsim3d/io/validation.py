@@ -137,7 +137,7 @@ _WORDS = {  # of each type of error, for readers of YAML: pydantic's own message
 }
 _OTHER = "is not what is needed here"  # a type of error that only a plug-in's model can have
 
-MOST_PROBLEMS = 50  # most problems that are reported of one section
+MAX_PROBLEMS = 50  # most problems that are reported of one section
 MAX_COMPARED, LONGEST_COMPARED = 1000, 100
 """Names that are compared with a wrong one, and their length: comparing takes time by the square of the length."""
 _KINDS = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", dict: "a mapping"}
@@ -182,7 +182,7 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
     """One line for each problem that pydantic found, such as `cameras.C0.skew: a number is needed (got 'x')`.
     `prefix` are the keys that lead to the model in the file."""
     lines, items = [], error.errors(include_url=False)
-    for item in items[:MOST_PROBLEMS]:
+    for item in items[:MAX_PROBLEMS]:
         location = item["loc"]
         path = join_path(*prefix, *location)
         if location and location[-1] == "[key]":
@@ -198,8 +198,8 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             keys = getattr(model_at(model, location), "model_fields", {}) if item["type"] == "model_type" else {}
             known = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
             lines.append(f"{path}: {words(item, known)}")
-    if len(items) > MOST_PROBLEMS:
-        lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
+    if len(items) > MAX_PROBLEMS:
+        lines.append(f"… and {len(items) - MAX_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines
 
 

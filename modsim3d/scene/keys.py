@@ -16,8 +16,8 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import (
     MAX_COORDINATE_M,
+    MAX_PROBLEMS,
     MOST,
-    MOST_PROBLEMS,
     Limits,
     Metres,
     Needed,
@@ -360,7 +360,7 @@ class SceneKeys(Strict):
             raise ValueError(f"a file or a mapping of vessel ID to vessel is needed (got {shown(vessels)})")
         numbers = [shown(name) for name in vessels if not isinstance(name, str)]
         if numbers:
-            raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers[:MOST_PROBLEMS])} in quotes")
+            raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers[:MAX_PROBLEMS])} in quotes")
         return vessels
 
 

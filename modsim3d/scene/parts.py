@@ -17,7 +17,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import shipped_detectors
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import Plugin
-from modsim3d.io.validation import MOST_PROBLEMS, describe, join_path, nearest
+from modsim3d.io.validation import MAX_PROBLEMS, describe, join_path, nearest
 from modsim3d.scene.keys import OF_LABELS, LabelledSceneKeys, LookKeys, ObstacleKeys, SceneKeys
 from modsim3d.scene.lens import form_problems, resolved
 from modsim3d.scene.settings import Setting, Settings
@@ -128,7 +128,7 @@ def drawn_vessels(
     problems += [each + key for each in _label_problems(vessels, labels)]
     problems += _file_problems(entries, source.keys.files)
     if problems:
-        raise InputError(section, problems[:MOST_PROBLEMS])
+        raise InputError(section, problems[:MAX_PROBLEMS])
     return tuple(_with_mesh(vessel, entries[vessel.name].get("mesh"), request, meshes, section) for vessel in vessels)
 
 
@@ -212,8 +212,8 @@ class SceneParts:
         self.source = self._source()
         boxes = self._boxes()
         self.detector = self._detector()
-        self.problems += islice(self._mount_problems(), MOST_PROBLEMS)
-        self.problems += islice(self._label_problems(), MOST_PROBLEMS)
+        self.problems += islice(self._mount_problems(), MAX_PROBLEMS)
+        self.problems += islice(self._label_problems(), MAX_PROBLEMS)
         self.looks = self._looks()
         self.obstacles = self._obstacles()
         drawn = self._drawn(boxes)
@@ -289,9 +289,9 @@ class SceneParts:
             ]
             given = [(name, camera) for name, camera in cameras.items() if isinstance(camera, dict)]
             found = [f"cameras.{name}{problem}" for name, camera in given for problem in form_problems(camera)]
-            self.problems += found[:MOST_PROBLEMS]
-            if len(found) > MOST_PROBLEMS:
-                self.problems.append(f"… and {len(found) - MOST_PROBLEMS:,} more problems in cameras")
+            self.problems += found[:MAX_PROBLEMS]
+            if len(found) > MAX_PROBLEMS:
+                self.problems.append(f"… and {len(found) - MAX_PROBLEMS:,} more problems in cameras")
         keys = self._validated(model)
         return keys if self.problems or keys is None else self._with_lenses(keys)
 

@@ -80,14 +80,14 @@ def _field_of_view_deg(lens: Intrinsics) -> tuple[float, float]:
     return across, down
 
 
-MOST_STEPS = 2000  # steps at which vessels are looked at; of a longer scene so many, evenly over it
+MAX_STEPS = 2000  # steps at which vessels are looked at; of a longer scene so many, evenly over it
 
 
 def sampled_tracks(scene: Scene) -> HullTracks | None:
     """The tracks of a scene's vessels at some of its steps; None where nobody knows them before it runs."""
     if scene.live or scene.labels is not None:
         return None
-    steps = np.unique(np.linspace(0, scene.steps - 1, min(scene.steps, MOST_STEPS)).astype(np.int64))
+    steps = np.unique(np.linspace(0, scene.steps - 1, min(scene.steps, MAX_STEPS)).astype(np.int64))
     found = [scene.poses.poses(step, step + 1) for step in steps.tolist()]
     present = np.concatenate([each.present for each in found])
     places = np.concatenate([each.positions_m[..., :2] for each in found])

@@ -25,7 +25,7 @@ from modsim3d.world.vessels import Vessel
 
 # ---- Foam of bow waves and wakes, the stronger the faster vessels go ----
 
-LEAST_M_S = 0.5  # a slower vessel leaves none
+MIN_M_S = 0.5  # a slower vessel leaves none
 WAKE_S, ARM_S = 14.0, 5.0  # in so much time the foam of the wake, and that of the bow wave, falls to a third
 KELVIN = math.tan(math.asin(1 / 3))  # half the angle of a ship's waves in deep water: 19.47° (Kelvin, 1887)
 FULL_M_S, FULL_FROUDE = 5.0, 0.4  # speed and Froude number at which wake and bow wave are white
@@ -39,7 +39,7 @@ def draw_wakes(
     regions that it may have changed. For `speeds_m_s` see `lights_towards`."""
     sight, regions, wet = solids.sight, [], backdrop.wet
     poses, air = sight.camera_poses, np.array(palette_of(backdrop.style).fog, np.float32)
-    for index in np.flatnonzero(sight.others[0] & (speeds_m_s > LEAST_M_S)).tolist():
+    for index in np.flatnonzero(sight.others[0] & (speeds_m_s > MIN_M_S)).tolist():
         vessel, speed_m_s = sight.vessels[index], float(speeds_m_s[index])
         ahead, origin_m = sight.world_R_vessel[0, index, :2, 0], sight.poses.positions_m[0, index]
         ahead = (ahead / np.linalg.norm(ahead)).astype(np.float32)

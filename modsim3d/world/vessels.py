@@ -17,7 +17,7 @@ from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.core.errors import InputError
 from modsim3d.io.plugins import SHAPES, Plugin, failed, load_plugin
 from modsim3d.io.strict_text import load_json
-from modsim3d.io.validation import MOST_PROBLEMS, Limits, Strict, describe, join_path, kind_of, shown
+from modsim3d.io.validation import MAX_PROBLEMS, Limits, Strict, describe, join_path, kind_of, shown
 from modsim3d.world.mesh_limits import MAX_COORDINATE, Refused, check_faces, check_vertices
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
     problems = [] if data else [f"{where}: no vessels; a scene needs at least one"]
     vessels = []
     for name, raw in data.items():
-        if len(problems) >= MOST_PROBLEMS:
+        if len(problems) >= MAX_PROBLEMS:
             problems.append("… (the rest was not checked)")
             break
         if problem := name_problem(str(name)):

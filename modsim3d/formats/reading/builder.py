@@ -16,11 +16,11 @@ from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import UNKNOWN, Annotations, FileIds, Images, LabelledSet, Results
-from modsim3d.io.input_files import MAX_PROBLEMS
+from modsim3d.io.input_files import MAX_BAD_ENTRIES
 from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.io.validation import shown
 
-MOST_PROBLEMS = 20
+MAX_PROBLEMS = 20
 MAX_PX = 1e7  # a larger coordinate is no place in an image, and its square would leave no digits
 MAX_NUMBER = 1e15  # a larger number is no identity, distance or time, and neighbours of it cannot be told apart
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
@@ -65,9 +65,9 @@ class Problems:
     def add(self, line: str) -> None:
         """Record an entry that cannot be used. Raises InputError for too many of them that are not to be skipped."""
         self.count += 1
-        if self.count <= MOST_PROBLEMS:
+        if self.count <= MAX_PROBLEMS:
             self.lines.append(line)
-        if self.count >= MAX_PROBLEMS and not self.skip:
+        if self.count >= MAX_BAD_ENTRIES and not self.skip:
             self.settle()
 
     def settle(self) -> list[str]:
@@ -77,10 +77,10 @@ class Problems:
         if self.skip:
             return [f"{self.source}: {self.count} entries left out, the first because {self.lines[0]}"]
         told = list(self.lines)
-        if self.count >= MAX_PROBLEMS:
+        if self.count >= MAX_BAD_ENTRIES:
             told.append(f"... {self.count:,} in all so far; the rest was not read. --skip-bad leaves such entries out")
-        elif self.count > MOST_PROBLEMS:
-            told.append(f"... and {self.count - MOST_PROBLEMS} more; --skip-bad leaves all such entries out")
+        elif self.count > MAX_PROBLEMS:
+            told.append(f"... and {self.count - MAX_PROBLEMS} more; --skip-bad leaves all such entries out")
         told += [self.hint] if self.hint else []
         raise InputError(self.source, told)
 
@@ -242,7 +242,7 @@ class ImageRows:
 
 def check_whole(names: Iterable[str], source: str) -> None:
     """Raise InputError if a name holds half a character, and so cannot be written."""
-    broken = [name for name in names if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
+    broken = [name for name in names if _HALF_CHARACTER.search(name)][:MAX_PROBLEMS]
     if broken:
         raise InputError(source, [f"{shown(name)} holds half a character, which no file can hold" for name in broken])
 
@@ -258,7 +258,7 @@ def labelled_set(
 ) -> LabelledSet:
     """A labelled set of one source; images that name no condition of their own have the given one. Raises InputError if
     two labels have the same name, a name cannot be written, or identities have lost digits."""
-    repeated = sorted(name for name, count in Counter(labels).items() if count > 1)[:MOST_PROBLEMS]
+    repeated = sorted(name for name, count in Counter(labels).items() if count > 1)[:MAX_PROBLEMS]
     if repeated:
         raise InputError(f"labels of {condition}", [f"{shown(name)} names more than one class" for name in repeated])
     of_image = [condition if name is None else name for name in images.condition]

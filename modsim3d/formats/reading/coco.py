@@ -247,7 +247,7 @@ def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: 
         return known[value]
     # The search for similar names takes long: not for problems that will not be shown, and not among very many.
     searched = map(shown, islice(known, _MAX_NAMES))
-    hint = f" ({nearest(shown(value), searched)})" if problems.count < builder.MOST_PROBLEMS else ""
+    hint = f" ({nearest(shown(value), searched)})" if problems.count < builder.MAX_PROBLEMS else ""
     problems.add(f"{where}: unknown {key} {shown(value)}{hint}" if key in entry else f"{where}: {key} is missing")
     return None
 

@@ -26,7 +26,7 @@ Text = Annotated[str, Field(strict=True)]
 FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$", max_length=LONGEST_NAME)]
 Estimate = Number | None  # a number, null where too few boxes tell it
 Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
-MOST_PROBLEMS = 5
+MAX_PROBLEMS = 5
 
 
 def _has_every_count(counts: dict[str, float]) -> dict[str, float]:
@@ -126,8 +126,8 @@ def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model
         problems = list(error.problems)
     except ValidationError as error:
         problems = describe(error, model)
-    more = [f"and {len(problems) - MOST_PROBLEMS} more"] if len(problems) > MOST_PROBLEMS else []
-    raise RunDirectoryError(f"{path} is not what a run has written: {'; '.join([*problems[:MOST_PROBLEMS], *more])}")
+    more = [f"and {len(problems) - MAX_PROBLEMS} more"] if len(problems) > MAX_PROBLEMS else []
+    raise RunDirectoryError(f"{path} is not what a run has written: {'; '.join([*problems[:MAX_PROBLEMS], *more])}")
 
 
 def check_scene_copy(folder: Path, settings: RunSettings, source: Path, listed: Collection[str] | None) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError
-from modsim3d.io.input_files import MAX_PROBLEMS
+from modsim3d.io.input_files import MAX_BAD_ENTRIES
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions, check_order, exchanged, sift, without_position
 from modsim3d.scene.ais.options import COMMAND_LINE, Options, time_text
 from modsim3d.scene.ais.read_csv import Layout, read_csv, recognise, source_of
@@ -55,7 +55,7 @@ class FileTally:
     def refuse_rubbish(self, whole: bool = True) -> None:
         """Raise an InputError if too many messages could not be read; of a part of the file, only if most of many."""
         bad = sum(self.dropped[reason] for reason in BAD)
-        most = max(FEW_BAD, BAD_SHARE * self.messages) if whole else max(MAX_PROBLEMS, self.messages / 2)
+        most = max(FEW_BAD, BAD_SHARE * self.messages) if whole else max(MAX_BAD_ENTRIES, self.messages / 2)
         if bad > most or (whole and bad and bad == self.messages):
             too_much = f"too much of it cannot be read: {bad} of {self.messages} messages"
             raise InputError(source_of(self.path), [*self.problems, too_much])

@@ -16,7 +16,7 @@ from pydantic import RootModel
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.geometry.camera_poses import heading_of
-from modsim3d.io.validation import MOST_PROBLEMS, Metres, Number, Strict, join_path, nearest
+from modsim3d.io.validation import MAX_PROBLEMS, Metres, Number, Strict, join_path, nearest
 from modsim3d.world.bodies import Obstacle
 from modsim3d.world.vessels import Vessel
 
@@ -274,7 +274,7 @@ def waypoint_tracks(
     problems: list[str] = []
     known = set(vessels)
     for name, waypoints in tracks.items():
-        if len(problems) >= MOST_PROBLEMS:
+        if len(problems) >= MAX_PROBLEMS:
             break
         path = join_path("poses", "tracks", name)
         if name not in known:

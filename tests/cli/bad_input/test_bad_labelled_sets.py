@@ -118,7 +118,7 @@ def test_a_class_far_beyond_the_others_costs_one_class_and_many_problems_are_not
     problems = builder.Problems("file", skip=True)
     for _ in range(50_000):
         problems.add("line")
-    assert len(problems.lines) == builder.MOST_PROBLEMS
+    assert len(problems.lines) == builder.MAX_PROBLEMS
     assert problems.settle() == ["file: 50000 entries left out, the first because line"]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modsim3d.core.errors import InputError
-from modsim3d.formats.reading.builder import MOST_PROBLEMS, Confidences, Problems, image_names, is_number
+from modsim3d.formats.reading.builder import MAX_PROBLEMS, Confidences, Problems, image_names, is_number
 from modsim3d.formats.reading.coco import KnownNames, categories_of
 from modsim3d.io.input_files import read_text
 from modsim3d.io.strict_text import check_values, parse_json
@@ -86,8 +86,8 @@ def _frames(
             f"{again[0]}{more}; where cameras take images at one time, each image must name its camera; where times "
             "are too coarse, --frame-rate takes their places in the file"
         )
-    if len(problems) > MOST_PROBLEMS:
-        problems[MOST_PROBLEMS:] = [f"... and {len(problems) - MOST_PROBLEMS} more"]
+    if len(problems) > MAX_PROBLEMS:
+        problems[MAX_PROBLEMS:] = [f"... and {len(problems) - MAX_PROBLEMS} more"]
     if problems:
         raise InputError(source, problems)
     return frame_of, Clock.UTC if utc else Clock.STEP, notes
