@@ -2,11 +2,14 @@
 
 import difflib
 import reprlib
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
+import yaml
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
@@ -95,6 +98,26 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if close := difflib.get_close_matches(name.lower(), by_small, n=1):
         return f"did you mean '{by_small[close[0]]}'?"
     return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
+
+
+def nearest_key(key: str, known: Collection[str]) -> str:
+    """The hint of `nearest` for a key, or the known keys that others call like this; see `synonyms.yaml`."""
+    ours = [f"'{each}'" for each in _synonyms().get(_plain(str(key)), ()) if each.partition(".")[0] in known]
+    return f"did you mean {' or '.join(ours)}?" if ours else nearest(key, known)
+
+
+@cache
+def _synonyms() -> dict[str, list[str]]:
+    """Our keys by what others call them."""
+    by_word = defaultdict[str, list[str]](list)
+    for key, theirs in yaml.safe_load(Path(__file__).with_name("synonyms.yaml").read_text(encoding="utf-8")).items():
+        for word in theirs:
+            by_word[_plain(word)].append(key)
+    return by_word
+
+
+def _plain(word: str) -> str:
+    return word.lower().replace("_", "").replace("-", "")
 
 
 def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
@@ -190,7 +213,7 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             lines.append(f"{path}: a name must be text: put it in quotes")
         elif item["type"] == "extra_forbidden":
             section = model_at(model, location[:-1])
-            hint = nearest(str(location[-1]), section.model_fields if section else ())
+            hint = nearest_key(str(location[-1]), section.model_fields if section else ())
             lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
         elif item["type"] == "missing":
             lines.append(f"{path}: missing" + f" (got {shown(item['input'])})" * isinstance(location[-1], int))

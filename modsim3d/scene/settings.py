@@ -16,7 +16,7 @@ from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import unread_settings
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.strict_text import load_yaml, parse_yaml
-from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest
+from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest, nearest_key
 from modsim3d.scene.keys import SceneKeys
 
 KeyPath = tuple[str | int, ...]
@@ -215,7 +215,7 @@ def _check_new(
     """Refuse a key that the section cannot have, and a value inside a name that the section has not."""
     if model is not None and key not in model.model_fields:
         miss_rate = [MISS_RATE] if is_miss_rate((*map(str, where), MISS_RATE)) else []
-        hint = nearest(key, [*miss_rate, *model.model_fields])
+        hint = nearest_key(key, [*miss_rate, *model.model_fields])
         raise InputError(setting.name, [f"unknown key {join_path(*where, key)} ({hint})"])
     if model is None and inside:
         raise InputError(setting.name, [f"{join_path(*where)} has no '{key}' ({nearest(key, content)})"])

@@ -10,7 +10,7 @@ import orjson
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.io import input_files
-from modsim3d.io.validation import MAX_COORDINATE_M, nearest, shown
+from modsim3d.io.validation import MAX_COORDINATE_M, nearest, nearest_key, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.world.poses.replay import MAX_PROBLEMS, RecordedPoses, check_pose_count
 
@@ -43,7 +43,7 @@ def poses_of_arrays(section: Mapping[str, Any], vessels: Sequence[str] | None, s
     vessel is absent; `time_step_s` or `times_s` (T,); `names` of the N columns, if they are not the scene's vessels in
     their order, whose IDs are None if not known. Raises InputError with every problem found; `source` names the scene
     in it."""
-    problems = [f"poses.{key}: unknown key ({nearest(str(key), KEYS)})" for key in section if key not in KEYS]
+    problems = [f"poses.{key}: unknown key ({nearest_key(key, KEYS)})" for key in section if key not in KEYS]
     names = _names(section.get("names"), vessels, problems)
     positions = _numbers(section, "positions_m", "(T, N, 2) or (T, N, 3)", problems)
     headings = _numbers(section, "headings_rad", "(T, N)", problems)

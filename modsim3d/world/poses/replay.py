@@ -20,7 +20,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io import input_files
 from modsim3d.io.input_files import read_text
 from modsim3d.io.strict_text import check_values, load_json, parse_json
-from modsim3d.io.validation import MAX_COORDINATE_M, Strict, join_path, nearest, shown
+from modsim3d.io.validation import MAX_COORDINATE_M, Strict, join_path, nearest, nearest_key, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
 
 MAX_PROBLEMS = 20  # that are reported of one file
@@ -184,7 +184,7 @@ def _pose_problems(entry: Any) -> list[str]:
     if entry.keys() != _KEYS:
         known = sorted(_KEYS)
         unknown = [key for key in entry if key not in known][:MAX_PROBLEMS]
-        problems = [f".{key}: unknown key ({nearest(key, known)})" for key in unknown]
+        problems = [f".{key}: unknown key ({nearest_key(key, known)})" for key in unknown]
         return problems + [f".{key}: missing" for key in known if key not in entry]
     problems = []
     position, heading = entry["center_position_m"], entry["heading_rad"]
