@@ -7,7 +7,6 @@ import sys
 import traceback
 from contextlib import closing
 from importlib.metadata import PackageNotFoundError, version
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import orjson
 from modsim3d.campaign.work.scenes import versions
 from modsim3d.campaign.work.task import PLAN, Task, TaskReport, Work, Worker
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.operating_system import end_with_parent, inherited
+from modsim3d.io.operating_system import Connection, end_with_parent, inherited
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.tracking.trackers.command import CHECKSUM
 

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from signal import Signals
 from typing import Any, Protocol, cast
@@ -21,7 +21,7 @@ from weakref import WeakSet
 from modsim3d.campaign.serving import READY, serve_until_the_end
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.operating_system import after_fork, may_fork, own_fork, signals
+from modsim3d.io.operating_system import Connection, after_fork, may_fork, own_fork, signals
 from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
 
 STOPPING = signals("SIGTERM", "SIGINT", "SIGHUP")  # by which a batch system or a user stops all of a campaign

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import RawIOBase
-from multiprocessing.connection import Connection
+from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,10 @@ try:
     import resource
 except ImportError:  # Windows
     fcntl = resource = None  # type: ignore[assignment]
+if sys.platform == "win32":
+    Connection = connection.PipeConnection
+else:
+    Connection = connection.Connection
 
 HAS_LOCKS = fcntl is not None
 POSIX = os.name == "posix"
@@ -34,13 +38,15 @@ FOLDER = os.O_RDONLY | os.O_DIRECTORY if hasattr(os, "O_DIRECTORY") else None
 
 def lock(descriptor: int, *, shared: bool = False) -> None:
     """Lock a file until its descriptor is closed. Raises BlockingIOError if another process has locked it."""
-    if HAS_LOCKS:
+    if sys.platform != "win32" and HAS_LOCKS:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
 
 
 def address_space_limit() -> int | None:
     """Most bytes of addresses that this process may have; None without a limit."""
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0] if resource else -1
+    if sys.platform == "win32" or resource is None:
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     return None if limit < 0 or limit == resource.RLIM_INFINITY else limit
 
 
@@ -81,7 +87,8 @@ def own_fork(work: Callable[..., None], *arguments: Any) -> BaseProcess:
 
 
 def _do_on_its_own(work: Callable[..., None], *arguments: Any) -> None:
-    os.setpgid(0, 0)
+    if sys.platform != "win32":
+        os.setpgid(0, 0)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
@@ -93,7 +100,8 @@ def _do_on_its_own(work: Callable[..., None], *arguments: Any) -> None:
 
 def forked(work: Callable[..., None], *arguments: Any, daemon: bool = True) -> BaseProcess:
     """Do work in a fork of this process, which may start such processes itself if it is no daemon."""
-    process = multiprocessing.get_context("fork").Process(target=work, args=arguments, daemon=daemon)
+    context: Any = multiprocessing.get_context("fork")
+    process: BaseProcess = context.Process(target=work, args=arguments, daemon=daemon)
     process.start()
     return process
 
@@ -114,8 +122,6 @@ def passing(pipe: Connection) -> dict[str, Any]:
 
 def inherited(pipe_number: int) -> Connection:
     """The pipe that this process was started with, by its number."""
-    if sys.platform == "win32":
-        return multiprocessing.connection.PipeConnection(pipe_number)
     return Connection(pipe_number)
 
 
@@ -189,7 +195,7 @@ class Program:
         else:
             self._process = subprocess.Popen(command, executable=program, **pipes)
         streams: Any = self._process.stdin, self._process.stdout, self._process.stderr
-        if self._life is None:
+        if sys.platform == "win32" or self._life is None:
             streams = [_pumped(stream) for stream in streams]
         else:
             for stream in streams:

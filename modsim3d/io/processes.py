@@ -14,7 +14,6 @@ from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from numbers import Integral
 from pathlib import Path
@@ -22,7 +21,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Generic, Literal, NoReturn, Protocol, TypeVar
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.operating_system import end_with_parent, forked, inherited, may_fork, passing, usable_cpus
+from modsim3d.io.operating_system import Connection, end_with_parent, forked, inherited, may_fork, passing, usable_cpus
 
 IN_HAND = 2  # pieces that a worker process has at once: the one that it does, and the next
 _END = b""  # the message after the last piece
