@@ -17,7 +17,7 @@ from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import detected_rows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.lights import ground_velocities
-from modsim3d.view.map_marks import _approach
+from modsim3d.view.plan_marks import _approach
 from modsim3d.view.report import overview, part_columns, side_by_side
 from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows, VesselOutcome, steps_in_a_bin
 from modsim3d.view.report.packing import StretchesBuilder
