@@ -9,11 +9,20 @@ from PIL import Image
 
 from tests.view.report.conftest import STEPS
 
-FRAMES = """new Promise((done) => {{
-    let left = {};
-    const next = () => (left-- ? requestAnimationFrame(next) : done());
-    next();
-}})"""
+CLOCK = """(() => {
+    let now = 0, last = 0, asked = new Map();
+    performance.now = () => now;
+    window.requestAnimationFrame = (call) => (asked.set(++last, call), last);
+    window.cancelAnimationFrame = (number) => asked.delete(number);
+    window.pass = (frames, seconds) => Array.from({ length: frames }, () => {
+        const calls = [...asked.values()];
+        asked.clear();
+        now += 1000 * seconds / frames;
+        for (const call of calls) call(now);
+        return calls.length;
+    });
+})()"""
+"""Frames come when the test says so, and as far apart: `pass` returns how many calls each has brought."""
 COARSE_AXIS = """(() => {
     const { timeline } = player, { recording } = timeline, { facts } = recording, places = [];
     facts.times = facts.times.filter((_, i) => i % 26 === 0);
@@ -26,24 +35,18 @@ COARSE_AXIS = """(() => {
 
 def test_one_clock_plays_to_the_end_and_the_axis_has_its_times_evenly(browser, page):
     browser.open(page, hash="#step=150")
-    browser.run("(player.playback.setSpeed(1), player.play(true))")
+    step_s = browser.run(f"({CLOCK}, player.playback.setSpeed(1), player.play(true), player.recording.facts.times[1])")
     for step in (20, 200):
-        browser.run(f"(player.go({step}), {FRAMES.format(5)})")
-        assert step <= browser.run("player.index") <= step + 5
+        browser.run(f"(player.go({step}), pass(1, 0))")
+        assert browser.run(f"(pass(11, {5.5 * step_s}), player.index)") == step + 5
     assert browser.run("player.playing")
-    browser.run(
-        "(() => { player.play(false); const { playback } = player, { tick } = playback; window.ticks = 0;"
-        " playback.tick = (now) => { window.ticks++; tick.call(playback, now); }; player.play(true); })()"
-    )
     for key in "[][][  ":
         browser.press(key)
-    count = f"(window.ticks = 0, {FRAMES.format(10)}.then(() => window.ticks))"
-    assert 8 <= browser.run(count) <= 12  # however often the speed has changed
-    assert browser.after(" ", count) == 0
+    assert browser.run("pass(10, 0.1)") == [1] * 10  # however often the speed has changed
+    assert browser.after(" ", "pass(10, 0.1)") == [0] * 10
     browser.run(f"(player.playback.setSpeed(50), player.go({STEPS - 40}))")
-    assert browser.after(" ", "player.playing")
-    browser.run("new Promise(done => { const look = () => player.playing ? setTimeout(look, 20) : done(1); look(); })")
-    assert browser.run("player.index") == STEPS - 1
+    assert browser.after(" ", f"(pass(9, {38.5 / 50 * step_s}), [player.index, player.playing])") == [STEPS - 2, True]
+    assert browser.run(f"(pass(2, {step_s / 50}), [player.index, player.playing])") == [STEPS - 1, False]
     browser.open(page)
     inner = browser.run(COARSE_AXIS)[1:-1]
     apart = [(x - inner[0][1]) / (time - inner[0][0]) for time, x in inner[1:]]
