@@ -130,6 +130,37 @@ def test_a_second_camera_is_beside_the_first_and_vessels_where_they_are(browser,
             assert found["metres"] == pytest.approx(metres, rel=0.02, abs=1) and found["vessel"] == vessel
 
 
+RADII = """(({ above }) => { const { context } = above, real = context.fillText, said = [];
+    context.fillText = (text, x, y) => { said.push([text, x, y]); real.call(context, text, x, y); };
+    player.draw(); context.fillText = real;
+    return said.filter(([text]) => / (nm|cables)$/.test(text)); })(player)"""
+
+
+def test_range_rings_lie_at_their_radii_about_the_camera_that_is_shown(browser, mistaken_page):
+    for unit, metres, key in (("nm", 1852, "a"), ("cables", 185.2, "e")):
+        browser.open(mistaken_page, SIZE, "#step=40&camera=quay")
+        plain = browser.pixels("above").astype(int)
+        assert browser.run(RADII) == []
+        browser.click(f"#layer-{'nm' if unit == 'cables' else 'cables'}")  # of which one is shown at a time
+        browser.press(key)
+        assert browser.run("[player.shown.nm, player.shown.cables]") == [unit == "nm", unit == "cables"]
+        assert unit in browser.after("u", "location.hash")
+        place = "player.recording.places(40).cameras[1]"
+        at = np.array(browser.run(f"(({{ x, y }}) => player.above.toCanvas(x, y))({place})"))
+        scale = browser.run("player.above.toCanvas(1, 0)[0] - player.above.toCanvas(0, 0)[0]")
+        changed, said = np.abs(browser.pixels("above").astype(int) - plain).sum(axis=2) > 60, browser.run(RADII)
+        radii = [float(text.split()[0]) for text, _, _ in said]
+        np.testing.assert_allclose(radii, radii[0] * np.arange(1, len(radii) + 1))
+        assert len(radii) > 1 and all(text.endswith(f" {unit}") for text, _, _ in said)
+        for radius, (_, *place) in zip(radii, said, strict=True):
+            assert np.hypot(*(place - at)) == pytest.approx(radius * metres * scale, abs=5)  # its line of writing
+        rows, columns = np.nonzero(changed[:-1])  # the last row is part of a pixel
+        apart = np.hypot(columns + 0.5 - at[0], rows + 0.5 - at[1]) / (radii[0] * metres * scale)
+        near_text = np.min([np.hypot(columns - x, rows - y) for _, x, y in said], axis=0) < 40
+        assert np.abs(apart - np.rint(apart))[~near_text].max() * radii[0] * metres * scale < 2
+        assert (~near_text).sum() > 100
+
+
 def test_the_command_takes_two_runs_for_the_same_bytes(call, mistaken_folder, other_folder, run_folder, tmp_path):
     out, refused = tmp_path / "two.html", tmp_path / "no.html"
     assert call("report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0

@@ -1,6 +1,15 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
 const VECTOR_S = 360, NM_M = 1852, TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
+const RINGS = { nm: NM_M, cables: NM_M / 10 }, RINGS_ACROSS = 8, RING_EDGE_PX = 14, RADIUS_PX = 11, RADIUS_ROOM_PX = 32;
+
+// The layers of the plan alone: range rings, of which one is shown at a time.
+const PLAN_LAYERS = [
+  ['nm', 'Rings: nm', 'A', 'Range rings on the plan, in nautical miles'], ['cables', 'Rings: cables', 'E', 'Range rings on the plan, in cables'],
+];
+
+// Whether a place of anything is known: not in a labelled video.
+function hasPlaces({ extent }) { return extent.flat().some((side) => side !== 0); }
 
 class Above {
   constructor(canvas, choose) {
@@ -35,10 +44,10 @@ class Above {
     return [this.width / 2 + (x - this.middle[0]) * this.scale, this.height / 2 - (y - this.middle[1]) * this.scale];
   }
 
-  // `shown` are the cameras whose images are on the page, `layers` what is shown in them.
+  // `shown` are the cameras whose images are on the page, the one that was used last first; `layers` what is shown in them.
   draw(recording, shown, index, chosen, layers) {
     const { context } = this, { facts } = recording, { vessels, cameras } = recording.places(index);
-    this.canvas.hidden = facts.extent.flat().every((side) => side === 0); // of a labelled video no place is known
+    this.canvas.hidden = !hasPlaces(facts);
     this.names = facts.vessels.map(({ name }) => name);
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     this.fit(facts.extent);
@@ -46,6 +55,8 @@ class Above {
     context.fillRect(0, 0, this.width, this.height);
     for (const camera of new Set(shown)) if (cameras[camera]) this.view(cameras[camera]);
     facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
+    const unit = Object.keys(RINGS).find((name) => layers[name]);
+    if (unit && cameras[shown[0]]) this.rings(cameras[shown[0]], unit, vessels.filter((place) => place).map(({ x, y }) => this.toCanvas(x, y)));
     for (const camera of new Set(shown)) if (cameras[camera]) this.bearings(recording, index, camera, cameras[camera], layers);
     this.trails(recording, index, facts);
     this.courses(recording, index, vessels, facts, chosen);
@@ -63,7 +74,7 @@ class Above {
     const { context } = this, { facts } = recording, [wide] = facts.cameras[camera].size, focal = wide / 2 / Math.tan(fov / 2);
     const drawn = layers.detections || layers.false ? recording.detections(index, camera) : [];
     const found = drawn.filter((each) => layers[each.false ? 'false' : 'detections']).map(({ box, vessel, false: nobody }) => ({ box, vessel: nobody ? null : vessel, dash: [2, 4] }));
-    const tracks = facts.tracks && layers.tracks ? recording.tracks(index, camera).map(({ box, vessel }) => ({ box, vessel, dash: [] })) : [];
+    const tracks = facts.tracks && layers.tracks ? recording.tracks(index, camera).map(({ box, vessel }) => ({ box, vessel, dash: [9, 3] })) : [];
     const from = this.toCanvas(x, y);
     for (const { box, vessel, dash } of [...found, ...tracks].filter((each) => each.box)) {
       const bearing = yaw + Math.atan((wide / 2 - (box[0] + box[2]) / 2) / focal);
@@ -121,6 +132,36 @@ class Above {
     context.fill();
   }
 
+  // Circles of round radii about a camera, as many on every step, each with its radius where it is lowest in sight, clear of
+  // vessels where that can be.
+  rings({ x, y }, unit, vessels) {
+    const { context, width, height } = this, [atX, atY] = this.toCanvas(x, y), pixels = RINGS[unit] * this.scale;
+    const least = Math.hypot(width, height) / pixels / RINGS_ACROSS, power = 10 ** Math.floor(Math.log10(least));
+    const step = [1, 2, 5, 10].find((each) => each * power >= least) * power;
+    const farthest = Math.hypot(Math.max(atX, width - atX), Math.max(atY, height - atY)) / pixels;
+    const inside = (at, end) => at > RING_EDGE_PX && at < end - RING_EDGE_PX;
+    const clear = ([across, down]) => vessels.every(([a, b]) => Math.abs(a - across) > RADIUS_ROOM_PX || Math.abs(b - down) > RING_EDGE_PX);
+    const names = [];
+    for (let ring = 1; ring * step < farthest; ring += 1) {
+      const radius = ring * step * pixels, seen = [];
+      context.beginPath();
+      context.arc(atX, atY, radius, 0, 2 * Math.PI);
+      context.setLineDash([4, 4]);
+      Object.assign(context, { strokeStyle: colourOf('--soft'), lineWidth: 1 });
+      context.stroke();
+      context.setLineDash([]);
+      for (let degrees = 0; degrees <= 180; degrees += 0.5) { // from the lowest place to both sides
+        const turn = degrees * Math.PI / 180, down = atY + radius * Math.cos(turn);
+        for (const across of [atX + radius * Math.sin(turn), atX - radius * Math.sin(turn)]) {
+          if (inside(across, width) && inside(down, height)) seen.push([across, down]);
+        }
+      }
+      const place = seen.find(clear) ?? seen[0];
+      if (place) names.push([`${Number((ring * step).toPrecision(6))} ${unit}`, place[0], place[1] + 4, RADIUS_PX]);
+    }
+    for (const name of names) this.name(...name);
+  }
+
   // The closed lines of an obstacle; inner ones are holes.
   area(rings, colour) {
     const { context } = this;
@@ -157,7 +198,7 @@ class Above {
     context.beginPath();
     for (const [ahead, port] of [[-0.5, -0.5], [0.2, -0.5], [0.5, 0], [0.2, 0.5], [-0.5, 0.5]]) context.lineTo(ahead * long, port * wide);
     context.closePath();
-    Object.assign(context, { fillStyle: colours.vessels[vessel], strokeStyle: colourOf('--ink'), lineWidth: chosen ? 2.5 : 1 });
+    Object.assign(context, { fillStyle: colours.vessels[vessel], strokeStyle: colourOf('--ink'), lineWidth: chosen ? 2.5 : 1, lineJoin: 'miter' });
     context.fill();
     context.stroke();
     context.restore();
@@ -165,9 +206,9 @@ class Above {
     this.placed.push({ vessel, x: atX, y: atY, reach: Math.max(long / 2, HIT_PX) });
   }
 
-  name(text, x, y) {
+  name(text, x, y, px = 12) {
     const { context } = this;
-    Object.assign(context, { font: '600 12px system-ui, sans-serif', textAlign: 'center', lineWidth: 3, lineJoin: 'round' });
+    Object.assign(context, { font: `600 ${px}px system-ui, sans-serif`, textAlign: 'center', lineWidth: 3, lineJoin: 'round' });
     Object.assign(context, { strokeStyle: colourOf('--paper'), fillStyle: colourOf('--ink') });
     const half = context.measureText(text).width / 2, within = Math.min(Math.max(x, half + 3), this.width - half - 3);
     context.strokeText(text, within, Math.max(y, 12));

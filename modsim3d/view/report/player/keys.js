@@ -26,6 +26,7 @@ function keysOf(player) {
       row('1 … 8', `layers: ${LAYERS.map(([, title]) => title.toLowerCase().replace('ids', 'IDs')).join(', ')}`,
         Object.fromEntries(LAYERS.map(([name], i) => [i + 1, () => $(`layer-${name}`).click()]))),
       ...(player.lanes ? [row('K', 'tracks', { k: () => $('layer-tracks').click() })] : []),
+      ...(hasPlaces(player.recording.facts) ? [row('A E', 'range rings on the plan: nautical miles, cables', { a: () => $('layer-nm').click(), e: () => $('layer-cables').click() })] : []),
     ] },
     { title: 'Page', keys: [
       row('U', 'copy a link to what is shown', { u: actions.link }),

@@ -45,6 +45,7 @@ function legendOf(recording, overview) {
       ...STRIP_MARKS.filter(there).map(([, text, marks]) => [laneSymbol(strip + marks.replaceAll('ALARM', alarm)), text]),
     ]),
   ];
+  if (hasPlaces(recording.facts)) parts.push(entries('Plan', planLegend(tracks)));
   if (tracks) parts.push(entries('Tracks', trackLegend(recording.facts)));
   return parts;
 }
@@ -52,6 +53,18 @@ function legendOf(recording, overview) {
 // A line of the legend: symbols and what they mean.
 function entries(title, list) {
   return element('div', {}, element('span', { textContent: `${title}:` }), ...list.map((entry) => element('span', {}, ...entry)));
+}
+
+// The entries of the view from above.
+function planLegend(tracks) {
+  const line = (more) => `<path d="M2 9h26" stroke="${colourOf('--ink')}" ${more}/>`;
+  return [
+    [`<path d="M3 9L28 2v14z" fill="${colourOf('--sight')}" stroke="${colourOf('--edge')}"/>`, 'what the camera sees'],
+    [line('stroke-width="1.5"'), `speed vector: way in ${VECTOR_S / 60} min`],
+    [line('stroke-width="1.5" opacity="0.6"'), `way of the last ${TRAIL_STEPS} steps`],
+    [line('stroke-width="1.2" stroke-dasharray="2 4"'), 'bearing of a detection'],
+    ...(tracks ? [[line('stroke-width="1.2" stroke-dasharray="9 3"'), 'bearing of a track']] : []),
+  ].map(([inside, text]) => [laneSymbol(inside), text]);
 }
 
 // The entries of tracks.

@@ -58,12 +58,18 @@ class Player {
       this.shown.tracks = true;
       this.addLayer('tracks', 'Tracks', 'K');
     }
+    if (hasPlaces(facts)) PLAN_LAYERS.forEach((layer) => this.addLayer(...layer));
   }
 
-  addLayer(name, title, key) {
-    const box = element('input', { type: 'checkbox', id: `layer-${name}`, checked: this.shown[name] });
-    box.addEventListener('change', () => { this.shown[name] = box.checked; this.draw(); keepAddress(this); });
-    $('layers').append(element('label', {}, box, ` ${title} `, element('kbd', { textContent: `${key}` })));
+  addLayer(name, text, key, title = '') {
+    const box = element('input', { type: 'checkbox', id: `layer-${name}`, title, checked: (this.shown[name] ??= false) });
+    box.addEventListener('change', () => {
+      this.shown[name] = box.checked;
+      if (box.checked && RINGS[name]) this.show(Object.fromEntries(PLAN_LAYERS.map(([each]) => [each, each === name])));
+      this.draw();
+      keepAddress(this);
+    });
+    $('layers').append(element('label', { title }, box, ` ${text} `, element('kbd', { textContent: `${key}` })));
   }
 
   listen() {
@@ -247,7 +253,7 @@ class Player {
     const started = performance.now(), { recording, index, pane, stage } = this;
     recording.rowsRead = 0;
     const frame = stage.draw(index, this), close = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm, this.playing);
-    this.above.draw(recording, this.panes.map((each) => each.camera), index, this.followed, this.shown);
+    this.above.draw(recording, [pane, ...this.panes].map((each) => each.camera), index, this.followed, this.shown);
     this.list.show(frame, pane.facts.carrier, this.playing, stage.otherFrame);
     this.list.mark(close.vessel, this.followed);
     this.numbers.show(frame);
