@@ -40,7 +40,7 @@ def run_shell(text, folder, prepared):
     return finished.stdout
 
 
-RUN = [page for page in PAGES if page.stem != "python"]  # which tests/api/test_python_page.py runs
+RUN = [page for page in PAGES if page.stem != "python"]  # which tests/api/test_names.py runs
 
 
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)

@@ -1,6 +1,7 @@
-"""A run directory opened again gives what the run had, and can be run again from its own copy."""
+"""A run directory: the columns of its tables, and opened again it gives what the run had."""
 
 import json
+import re
 import shutil
 from dataclasses import fields
 from pathlib import Path
@@ -11,10 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d import ModsimError, RunDirectoryError, load_scene, open_run, run_scene, simulate_frames
+from modsim3d import ModsimError, RunDirectoryError, StoredRun, load_scene, open_run, run_scene, simulate_frames
+from modsim3d.core.boxes import centre_form, corner_form
 from modsim3d.runs import pipeline, stored_run
 from modsim3d.runs.files.stored_tables import truth_of
-from modsim3d.truth.record import COLUMNS
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, schema_of
+from modsim3d.truth import record
 from tests.run_folders import edited_run, interrupt
 from tests.scenes import write_scene
 
@@ -54,7 +57,7 @@ def test_frames_and_truth_read_back_are_those_of_the_simulation_and_of_the_steps
     read = truth_of(run.finished_tables.truth(10, 120), run.scene)
     with pipeline.open_renderer(scene) as renderer:
         made = pipeline.truth_block(scene, 10, 120, renderer)
-    for name in set(COLUMNS) - {"intersections"}:
+    for name in set(record.COLUMNS) - {"intersections"}:
         np.testing.assert_array_equal(getattr(read, name), getattr(made, name), err_msg=name)
 
 
@@ -107,3 +110,98 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path, content):
         (tmp_path / "run.json").write_text(content)
     with pytest.raises(RunDirectoryError, match=r"run\.json|copy of its scene"):
         open_run(tmp_path)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "tables.md"
+UNITS = {"_px": "px", "_m": "m", "_rad": "rad", "_rad_s": "rad/s", "_m_s2": "m/s²", "_s": "s"}
+
+
+@pytest.mark.parametrize("table", COLUMNS)
+def test_the_page_documents_every_column_and_a_unit_in_the_name_is_the_unit(table: str) -> None:
+    rows = [f"| `{each.name}` | `{each.type}` | {each.unit} | {each.meaning} |" for each in COLUMNS[table]]
+    section = PAGE.read_text(encoding="utf-8").partition(f"\n## {table}.parquet\n")[2].partition("\n## ")[0]
+    said = [line for line in section.splitlines() if line.startswith("| `")]
+    assert said == [re.sub(" +", " ", row) for row in rows]
+    for column in COLUMNS[table]:
+        ending = max((end for end in UNITS if column.name.endswith(end)), key=len, default="")
+        assert column.unit == UNITS.get(ending, "px" if column.name == "occluded_by" else ""), column.name
+        assert column.meaning and "|" not in column.meaning
+
+
+def test_the_page_and_a_run_have_every_table_whose_columns_have_unit_and_description(strait_run: StoredRun) -> None:
+    assert re.findall(r"^## (\w+)\.parquet$", PAGE.read_text(encoding="utf-8"), re.MULTILINE) == list(COLUMNS)
+    assert {path.stem for path in strait_run.folder.rglob("*.parquet")} == set(COLUMNS)
+    for table, columns in COLUMNS.items():
+        written = pq.read_schema(strait_run.folder / f"{table}.parquet")
+        assert written.names == [column.name for column in columns], table
+        for field, column in zip(written, columns, strict=True):
+            said = {key: value.decode() for key, value in field.metadata.items() if not key.startswith(b"PARQUET:")}
+            assert field.type == column.type, (table, column.name)
+            assert said == {b"unit": column.unit, b"description": column.meaning}
+
+
+def test_corners_and_centre_are_those_of_the_thesis_file_and_iou_that_with_the_annotated_box(strait_run):
+    table = pq.read_table(strait_run.folder / "detections.parquet")
+    corners, centred = (np.column_stack([table[name] for name in names]) for names in (BOX_SIDES, CENTRE_FORM))
+    np.testing.assert_array_equal(centred, centre_form(corners))
+    np.testing.assert_allclose(corner_form(centred), corners, atol=1e-9)
+    assert (corners[:, :2] < corners[:, 2:]).all()
+    found = json.loads((strait_run.folder / "detections_bow.json").read_text())
+    boxes = [entry["bbox"] for frame in found.values() for entry in frame.values()]
+    told = sorted((b["centre"]["x"], b["centre"]["y"], b["width"], b["height"]) for b in boxes)
+    assert told == sorted(map(tuple, centred[np.array(table["camera"].to_pylist()) == "bow"].tolist()))
+    frames = sorted(strait_run.frames(), key=lambda frame: frame.step)
+    np.testing.assert_array_equal(corners, np.concatenate([frame.detections.boxes_px for frame in frames]))
+    truth, found = (pq.read_table(strait_run.folder / f"{name}.parquet") for name in ("truth", "detections"))
+    place = ("camera", "step", "vessel")
+    boxes = {tuple(row[key] for key in place): row for row in truth.to_pylist()}
+    for row in found.to_pylist():
+        if row["kind"] != "true":
+            assert row["iou"] is None
+            continue
+        box = [row[side] for side in BOX_SIDES]
+        own = [boxes[tuple(row[key] for key in place)][f"visible_{side}"] for side in BOX_SIDES]
+        sides = [min(box[i + 2], own[i + 2]) - max(box[i], own[i]) for i in (0, 1)]
+        common = max(sides[0], 0) * max(sides[1], 0)
+        both = sum((each[2] - each[0]) * (each[3] - each[1]) for each in (box, own)) - common
+        assert abs(row["iou"] - common / both) < 1e-9
+    values = [value for value in found["iou"].to_pylist() if value is not None]
+    assert len(values) > 100 and np.mean(values) == pytest.approx(0.87, abs=0.03)
+
+
+def rewritten(run: StoredRun, folder: Path, table: pa.Table, **changes: object) -> Path:
+    """A copy of a run with another table of detections, other entries in `run.json` and no list of files."""
+    edited_run(run.folder, folder, files=None, **changes)
+    (folder / "detections.parquet").unlink()
+    pq.write_table(table, folder / "detections.parquet")
+    return folder
+
+
+@pytest.mark.parametrize("form", [1, 2])
+def test_detections_of_the_formats_before_are_read(strait_run: StoredRun, tmp_path: Path, form: int) -> None:
+    now = pq.read_table(strait_run.folder / "detections.parquet")
+    former = {"centre_x_px": "x_px", "centre_y_px": "y_px"} if form == 1 else {}
+    kept = [name for name in now.column_names if name != "iou" and not (name in BOX_SIDES and form == 1)]
+    old = now.select(kept).rename_columns([former.get(name, name) for name in kept])
+    counts = {"camera_counts": None} if form == 1 else {}
+    folder = rewritten(strait_run, tmp_path / "old", old, format=form, **counts)
+    again = open_run(folder).tables()["detections"]
+    assert again.schema.equals(schema_of("detections"), check_metadata=True)
+    for name in now.column_names:
+        if name == "iou":
+            assert again[name].null_count == len(again)
+        elif name in BOX_SIDES:
+            np.testing.assert_allclose(again[name], now[name], atol=1e-9)
+        else:
+            assert again[name].equals(now[name]), name
+    assert len(list(open_run(folder).frames(3, 9))) == len(list(strait_run.frames(3, 9)))
+
+
+@pytest.mark.parametrize(("name", "by"), [("centre_x_px", 0.5), ("height_px", 1.0)])
+def test_a_centre_form_of_another_box_is_refused(strait_run: StoredRun, tmp_path: Path, name: str, by: float) -> None:
+    table = pq.read_table(strait_run.folder / "detections.parquet")
+    values = table[name].to_numpy().copy()
+    values[7] += by
+    moved = table.set_column(table.column_names.index(name), table.schema.field(name), pa.array(values))
+    with pytest.raises(RunDirectoryError, match=rf"row 7, column '{name}': must be that of the box from "):
+        open_run(rewritten(strait_run, tmp_path / "moved", moved)).tables()

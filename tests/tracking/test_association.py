@@ -23,7 +23,7 @@ from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame
 from modsim3d.tracking.trackers.reference import ReferenceTracker
 from modsim3d.tracks.tracks import Similarity
 from tests.formats.exported import exported_run
-from tests.formats.test_export_mot import scores
+from tests.formats.test_exports import scores
 from tests.tracking.hand_made import Seen, box, hand_made, rows_of, tracks_of
 
 A, B, FAR = box(0), box(100), box(300)

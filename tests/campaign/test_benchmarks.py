@@ -1,6 +1,7 @@
-"""The committed page of errors of verdicts, the seeds from which means are judged, and a small sample of both."""
+"""The campaigns of benchmarks: committed pages are those of their figures, and a small sample of each."""
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,19 @@ import pytest
 from scipy import stats
 
 from benchmarks import resampled_means
+from benchmarks.campaign_costs import CAMPAIGN, FULL, Cost, Million, pair_text
+from benchmarks.campaign_parts import Coordinated, TaskCost
+from benchmarks.campaigns import search as benchmark
 from benchmarks.campaigns import sequences
 from benchmarks.resampled_means import JUDGED_ON, RULE, SEEDS, STORED, TRACKERS, TRAFFICS, holds, lower_rate, offers
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.search import run_search
 from modsim3d.campaign.verdicts.bounds import corrected_bounds, skewed_bounds
 from modsim3d.campaign.verdicts.wording import measured_offers
+from modsim3d.campaign.work.layers import RunLayers
+from tests.campaign.campaigns import checked_campaign
+from tests.campaign.one_process import ThisProcess
 
 CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 REQUIRED = {"hota": "low", "mota": "low", "idf1": "low", "id_switches": "high", "false_track_s": "high"}
@@ -72,3 +82,53 @@ def test_resampled_bounds_are_those_of_verdicts_and_powers_are_compared_where_st
     values = np.random.default_rng(2).normal(resampled_means.threshold_distance(10), 1.0, (20_000, 10))
     met = stats.ttest_1samp(values, 0.0, axis=1, alternative="greater").pvalue <= 0.05
     assert met.mean() == pytest.approx(0.9, abs=0.007)
+
+
+def test_the_committed_page_is_what_the_campaign_makes_of_its_figures() -> None:
+    data = json.loads((CAMPAIGNS / "search.json").read_text(encoding="utf-8"))
+    assert (CAMPAIGNS / "search.md").read_text(encoding="utf-8") == benchmark.page(data)
+
+
+def test_the_benchmark_searches_as_the_command_does(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    keys = benchmark.keys_of({**benchmark.PROBLEMS["seeds"], "steps": 6}, 3, 12)
+    campaign = checked_campaign(tmp_path, **keys.model_dump(mode="json", by_alias=True, exclude_unset=True))
+    found = run_search(campaign, tmp_path / "out", ThisProcess).table["hota"].to_pylist()
+    with closing(RunLayers(keys, Path(), Path("cache"))) as layers:
+        assert benchmark.searched(keys, layers) == found
+
+
+def test_the_best_score_never_rises_and_the_verdict_follows_the_interval_of_the_differences() -> None:
+    assert benchmark.best([0.5, None, 0.6, 0.4]) == [0.5, 0.5, 0.5, 0.4]
+    for gain, said in ((-0.1, "found lower scores"), (0.1, "The random trials found lower")):
+        found = [{"search": [0.5, 0.4 + gain + 0.001 * each], "random": [0.5, 0.4]} for each in range(5)]
+        assert said in benchmark.verdict(found)
+    mixed = [{"search": [0.4 + 0.1 * (-1) ** each], "random": [0.4]} for each in range(4)]
+    assert "no advantage is shown" in benchmark.verdict(mixed)
+
+
+TASK = TaskCost(wall_s=0.004, scheduler_s=0.001, client_s=0.002, bytes=3_000)
+FEWER = Coordinated(20_000, 1_000, 10**7, 8.0, 1.0, 3 * 10**8, 10**7, 1)
+MORE = Coordinated(100_000, 5_000, 5 * 10**7, 40.0, 5.0, 7 * 10**8, 5 * 10**7, 2)
+
+
+def test_the_timed_campaign_has_1000_runs_of_300_steps_and_a_fifth_of_them_are_run_twice() -> None:
+    plan = Plan.of(read_campaign(CAMPAIGN).keys)
+    assert (len(plan), plan.keys.steps) == (1000, 300) and FULL.pair_seeds * plan.runs_by_seed == 200
+
+
+def test_a_million_runs_are_worked_out_from_a_run_and_a_task() -> None:
+    found = Million(1.5, TASK, FEWER, MORE)
+    assert found.hours == pytest.approx(10**6 * 1.5 / 3600)
+    assert found.tasks == 50_000  # of twenty runs
+    assert found.tasks_per_s == pytest.approx(1000 / 30)
+    assert found.grown("peak_bytes") == pytest.approx(7e8 + 9e5 * 4e8 / 8e4)
+    limits = {"the command that hands the tasks out": 30 / 0.010, "the Dask scheduler": 30 / 0.001}
+    assert found.limits == pytest.approx(limits)
+
+
+def test_what_is_not_held_is_said() -> None:
+    one, two = (Cost(200, 60_000, seconds, 240, 10**6, 1.7) for seconds in (240.0, 160.0))
+    assert "+0.0% CPU seconds a run (within 5 %: held)" in pair_text(one, two, same=True)
+    assert "1.50 × by the clock (at least 1.7 × on a quiet machine: **not held**)" in pair_text(one, two, same=True)
+    assert "**different**" in pair_text(one, two, same=False)
