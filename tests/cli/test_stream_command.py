@@ -177,7 +177,6 @@ def test_a_reader_of_standard_output_that_goes_away_ends_it_quietly(live: Path, 
 
 WRONG = (
     ("--to lines.jsonl", "--to 'lines.jsonl': is neither - (standard output) nor tcp://ADDRESS:PORT"),
-    ("--to tcp://127.0.0.1:70000", "a port is a number from 0 to 65535 (got 70000)"),
     ("--to tcp://192.0.2.1:5000", "--to tcp://192.0.2.1:5000: cannot listen there"),
     ("--to tcp://127.0.0.1:0 --timeout 0", "--timeout 0: give a number of seconds above 0"),
     ("--to tcp://127.0.0.1:0 --timeout nan", "--timeout nan: give a number of seconds above 0"),
@@ -187,15 +186,11 @@ WRONG = (
 )
 
 
-def test_wrong_options_and_ports_that_are_taken_or_open_to_others_are_told(modsim3d: Modsim3d, stored: Path) -> None:
+def test_wrong_options_are_refused_and_a_port_that_is_open_to_others_is_warned_of(modsim3d, stored: Path) -> None:
     for options, part in WRONG:
         said = modsim3d("stream", stored, *options.split())
         assert said.status == 2
         assert part in said.err and said.err.startswith("modsim3d: ") and said.err.count("modsim3d: ") == 1
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        said = modsim3d("stream", stored, "--to", f"tcp://127.0.0.1:{taken.getsockname()[1]}")
-    assert (said.status, said.out) == (2, "")
-    assert "cannot listen there: Address already in use; port 0 takes any free port" in said.err
     said = modsim3d("stream", stored, "--to", "tcp://0.0.0.0:0", "--timeout", "0.01")
     assert said.err.startswith("warning: whoever reaches this computer at tcp://0.0.0.0:")
 

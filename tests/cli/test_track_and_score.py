@@ -70,8 +70,6 @@ def test_where_vessels_are_lost_and_detector_seeds_are_tables_at_80_columns(mods
 
 def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks):
     for options, said in (
-        (("--similarity", "centre"), "similarity centre needs scale_px"),
-        (("--similarity", "iou:10"), "a scale is for similarity centre"),
         (("--threshold", 0), "--threshold must be above 0 and at most 1 (got 0)"),
         (("--gap", -1), "--gap must be 0 or more seconds (got -1)"),
         (("--gospa", "nan"), "--gospa C: must be above 0"),

@@ -195,13 +195,3 @@ def test_detections_of_the_formats_before_are_read(strait_run: StoredRun, tmp_pa
         else:
             assert again[name].equals(now[name]), name
     assert len(list(open_run(folder).frames(3, 9))) == len(list(strait_run.frames(3, 9)))
-
-
-@pytest.mark.parametrize(("name", "by"), [("centre_x_px", 0.5), ("height_px", 1.0)])
-def test_a_centre_form_of_another_box_is_refused(strait_run: StoredRun, tmp_path: Path, name: str, by: float) -> None:
-    table = pq.read_table(strait_run.folder / "detections.parquet")
-    values = table[name].to_numpy().copy()
-    values[7] += by
-    moved = table.set_column(table.column_names.index(name), table.schema.field(name), pa.array(values))
-    with pytest.raises(RunDirectoryError, match=rf"row 7, column '{name}': must be that of the box from "):
-        open_run(rewritten(strait_run, tmp_path / "moved", moved)).tables()

@@ -276,15 +276,10 @@ def test_tracks_in_the_world_have_a_table_of_their_own_and_tracks_of_one_name_ar
 
 def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:
     refused: list[tuple[Any, dict[str, Any], str]] = [
-        (
-            [tracks, perfect],
-            {"seeds": 3},
-            "nothing says which one made 'perfect': give folders that `modsim3d.track_run`",
-        ),
+        ([tracks, perfect], {"seeds": 3}, "nothing says which one made 'perfect': give folders that `modsim3d.track"),
         (tracks, {"seeds": 1}, r"^seeds must be from 2 to 1000 \(got 1\)"),
         ([tracks, tracks], {}, "is given twice"),
         ([], {}, "there are no tracks to score"),
-        (tracks, {"similarity": "centre"}, "similarity centre needs scale_px"),
     ]
     no_names = "cameras must be the name of a camera, or a list of names"
     for given, rules, said in [*refused, *((perfect, {"cameras": each}, no_names) for each in NO_NAMES)]:

@@ -132,6 +132,7 @@ WRONG = {  # table, column, row, value, part of the message
     "a corner outside": ("detections", "x_max_px", 0, 1e300, "row 0, column 'x_max_px': must be from 0 to 640"),
     "no corner": ("detections", "y_min_px", 1, None, "row 1, column 'y_min_px': must be a number"),
     "the centre of another box": ("detections", "centre_y_px", 0, 0.0, "column 'centre_y_px': must be that of the box"),
+    "the height of another box": ("detections", "height_px", 0, 479.0, "column 'height_px': must be that of the box"),
     "half an error": ("detections", "e_x_px", 0, float("inf"), "row 0, column 'e_x_px'"),
     "a wrong count": ("frames", "n_false", 0, 99, "row 0, column 'n_false': must be the number in "),
 }

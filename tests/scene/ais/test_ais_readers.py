@@ -145,19 +145,12 @@ def test_cells_are_read_or_named_by_row_and_column_in_blocks_of_any_size(monkeyp
     assert sum(chunk.messages for chunk in chunks) == len(read) + len(problems)
 
 
-@pytest.mark.parametrize(
-    ("content", "level", "says"),
-    [
-        (b"a" * 3_000_000, 1, "is none of the formats"),
-        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, 0, "has a row of more than 1048576 bytes"),
-        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, 1, "unpacks to more than 100 times its own size"),
-    ],
-    ids=["no line", "endless row", "bomb"],
-)
-def test_what_unpacks_to_endless_lines_is_one_error(call, tmp_path, content, level, says):
-    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, level))
-    status, said = call("ais", tmp_path / "bomb.csv.gz", "--out", tmp_path / "scene")
-    assert status == 2 and says in said and len(said.splitlines()) == 2
+def test_what_unpacks_to_endless_lines_is_one_error(call, tmp_path):
+    content = (SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000
+    for level, says in enumerate(("has a row of more than 1048576 bytes", "unpacks to more than 100 times its own")):
+        (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, level))
+        status, said = call("ais", tmp_path / "bomb.csv.gz", "--out", tmp_path / "scene")
+        assert status == 2 and says in said and len(said.splitlines()) == 2
 
 
 def test_a_log_is_counted_the_same_in_chunks_of_any_size_and_garbage_is_passed_over_quickly(monkeypatch, tmp_path):
