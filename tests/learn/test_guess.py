@@ -152,16 +152,13 @@ def test_confidence_is_shifted_by_its_log_odds_but_not_a_precision_recall_curve(
         guessed(content, change("noon_clear", "night_cloudy"), "detector mine")
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"confusion": [[1.0], [0.0]]}, "its probability of a miss is 0"),
-        ({"false_discovery_rate": 0}, "its false_discovery_rate is 0"),
-        ({"confidence": {"mean": 1, "std": 0}}, "its mean confidence of true detections is 1"),
-        (errors_of("relative", np.zeros((4, 4))), "the variance of one of its box errors is 0"),
-        (errors_of("px", np.eye(4)), "its box errors are in px, and those of it relative"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "said"), [
+    ({"confusion": [[1.0], [0.0]]}, "its probability of a miss is 0"),
+    ({"false_discovery_rate": 0}, "its false_discovery_rate is 0"),
+    ({"confidence": {"mean": 1, "std": 0}}, "its mean confidence of true detections is 1"),
+    (errors_of("relative", np.zeros((4, 4))), "the variance of one of its box errors is 0"),
+    (errors_of("px", np.eye(4)), "its box errors are in px, and those of it relative"),
+])  # fmt: skip
 def test_a_condition_without_a_ratio_is_refused(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         ConditionChange.between(condition(), condition(**keys))
@@ -202,17 +199,14 @@ def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, 
     assert status == 0 and warning in said
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
-        (guess(RICH, "noon_clear", "rain"), "there is no 'rain' (known: afternoon_cloudy_rain, evening_cloudy_rain"),
-        (guess(RICH, "non_clear", "foggy_clear"), "did you mean 'noon_clear'?"),
-        (guess(RICH, RICH, "foggy_clear"), "one state and one label (got 2 states and 3 labels)"),
-        (guess("nothing.yaml", "noon_clear", "foggy_clear"), "nothing.yaml: no such file"),
-        ((*GUESS, "--to-condition", "foggy_cloudy"), TOGETHER),
-        ((*GUESS, "--detector", "rich.yaml", "run"), TOGETHER),
-    ],
-)
+@pytest.mark.parametrize(("options", "part"), [
+    (guess(RICH, "noon_clear", "rain"), "there is no 'rain' (known: afternoon_cloudy_rain, evening_cloudy_rain"),
+    (guess(RICH, "non_clear", "foggy_clear"), "did you mean 'noon_clear'?"),
+    (guess(RICH, RICH, "foggy_clear"), "one state and one label (got 2 states and 3 labels)"),
+    (guess("nothing.yaml", "noon_clear", "foggy_clear"), "nothing.yaml: no such file"),
+    ((*GUESS, "--to-condition", "foggy_cloudy"), TOGETHER),
+    ((*GUESS, "--detector", "rich.yaml", "run"), TOGETHER),
+])  # fmt: skip
 def test_what_cannot_be_guessed_from_is_one_error(call: Call, tmp_path: Path, options, part) -> None:
     assert part in " ".join(refusal(call, (*options, "--out", tmp_path / "out.yaml"), kept=tmp_path).split())
 

@@ -85,16 +85,13 @@ def test_the_interval_that_includes_zero_is_the_reason():
         assert said and 20 < int(said[1]) <= 78 and float(said[2]) <= 0 <= float(said[3]) < 1 and "99.9%" in note
 
 
-@pytest.mark.parametrize(
-    ("change", "key", "reason"),
-    [
-        ("times", "persistence", "none; frames have no times"),
-        ("identities", "persistence", "none; annotations have no identities"),
-        ("one frame each", "persistence", "none; nothing is annotated in two frames with times"),
-        ("all found", "persistence.class_s", "0; of each label in each state either everything or nothing was missed"),
-        ("few", "persistence.box_s", "0; no state has 20 matches with all sides inside the image"),
-    ],
-)
+@pytest.mark.parametrize(("change", "key", "reason"), [
+    ("times", "persistence", "none; frames have no times"),
+    ("identities", "persistence", "none; annotations have no identities"),
+    ("one frame each", "persistence", "none; nothing is annotated in two frames with times"),
+    ("all found", "persistence.class_s", "0; of each label in each state either everything or nothing was missed"),
+    ("few", "persistence.box_s", "0; no state has 20 matches with all sides inside the image"),
+])  # fmt: skip
 def test_the_reason_is_what_is_missing(change, key, reason):
     frames = 9 if change == "few" else 40
     labelled = two_boats(frames, np.random.default_rng(3).normal(size=(frames, 2, 4)))

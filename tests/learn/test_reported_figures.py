@@ -40,20 +40,16 @@ def test_in_a_scene_of_its_own_it_has_precision_recall_and_mean_iou_of_the_repor
     assert len(overlaps) > 10_000 and measured == pytest.approx(asked, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    "report",
-    [
-        {"confusion_matrix": COUNTS, "matrix_rows": "predicted"},
-        {"confusion_matrix": np.transpose(COUNTS).tolist(), "matrix_rows": "true"},
-        {"confusion_matrix": [[*row[:2], None] if row[2] == 0 else row for row in COUNTS], "matrix_rows": "predicted"},
-        # Shares of each column with two decimals, as ultralytics prints them; one column sums to 1.01.
-        {"confusion_matrix": [[0.8, 0.05, 0.63], [0.05, 0.9, 0.38], [0.16, 0.05, None]], "precision": 170 / 195},
-        {"confusion_matrix": [[0.8, 0.04, 0.16], [0.05, 0.9, 0.05], [0.63, 0.38, 0]], "precision": 170 / 195},
-        # Scikit-learn, of what was detected alone, whose rows are true labels.
-        {"confusion_matrix": [[0.95, 0.05], [0.05, 0.95]], "recall": RECALL, "precision": 170 / 195},
-    ],
-    ids=["counts", "transposed", "empty cell", "shares", "shares transposed", "no background"],
-)
+@pytest.mark.parametrize("report", [
+    {"confusion_matrix": COUNTS, "matrix_rows": "predicted"},
+    {"confusion_matrix": np.transpose(COUNTS).tolist(), "matrix_rows": "true"},
+    {"confusion_matrix": [[*row[:2], None] if row[2] == 0 else row for row in COUNTS], "matrix_rows": "predicted"},
+    # Shares of each column with two decimals, as ultralytics prints them; one column sums to 1.01.
+    {"confusion_matrix": [[0.8, 0.05, 0.63], [0.05, 0.9, 0.38], [0.16, 0.05, None]], "precision": 170 / 195},
+    {"confusion_matrix": [[0.8, 0.04, 0.16], [0.05, 0.9, 0.05], [0.63, 0.38, 0]], "precision": 170 / 195},
+    # Scikit-learn, of what was detected alone, whose rows are true labels.
+    {"confusion_matrix": [[0.95, 0.05], [0.05, 0.95]], "recall": RECALL, "precision": 170 / 195},
+], ids=["counts", "transposed", "empty cell", "shares", "shares transposed", "no background"])  # fmt: skip
 def test_a_matrix_means_the_same_whichever_way_it_is_printed(report: dict[str, Any]) -> None:
     found = modsim3d.learn_from_figures({**KNOWN, **report}).content["states"]["reported"]
     np.testing.assert_allclose(found["confusion"], np.array(COUNTS)[:, :2] / 100, atol=0.012)
@@ -93,22 +89,19 @@ def test_average_precision_by_size_makes_small_vessels_missed_more_often() -> No
     assert unknown.figures["ap_small"][0] is None and unknown.figures["ap_large"][0] == 0.6
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"recall": None}, "give precision and recall, or a confusion_matrix"),
-        ({"recall": 84}, r"recall: must be a share above 0 and up to 1, or one for each label \(got 84\)"),
-        ({"precision": {"boat": 0.9, "shp": 0.8}}, r"precision: must have a number for each of boat, ship \(got boat"),
-        ({"recal": 0.8}, r"recal: unknown key \(did you mean 'recall'\?\)"),
-        ({"confusion_matrix": [[9, 1]]}, r"must have 2 or, with background, 3 rows and columns \(got 1 rows of 2\)"),
-        ({"confusion_matrix": COUNTS}, "are its rows true or predicted labels"),
-        ({"confusion_matrix": [[0.8, 0.04], [0.1, 0.9], [0.14, 0.06]]}, "'boat' sum to 1.04, must sum to 1 "),
-        ({"confusion_matrix": COUNTS, "matrix_rows": "true", "annotations": {"boat": 100, "ship": 100}}, "would fit"),
-        ({"confusion_matrix": [[0, 4], [0, 5]], "matrix_rows": "predicted"}, "'boat' sum to 0, must to more than 0"),
-        ({"confusion_matrix": [[1.5, 4], [0, 5]]}, r"shares from 0 to 1, and not both \(1.5 is no count"),
-        ({"confusion_matrix": [[9, 1], [2, 8]], "matrix_rows": "true", "recall": None}, "recall: missing: the matrix"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"recall": None}, "give precision and recall, or a confusion_matrix"),
+    ({"recall": 84}, r"recall: must be a share above 0 and up to 1, or one for each label \(got 84\)"),
+    ({"precision": {"boat": 0.9, "shp": 0.8}}, r"precision: must have a number for each of boat, ship \(got boat"),
+    ({"recal": 0.8}, r"recal: unknown key \(did you mean 'recall'\?\)"),
+    ({"confusion_matrix": [[9, 1]]}, r"must have 2 or, with background, 3 rows and columns \(got 1 rows of 2\)"),
+    ({"confusion_matrix": COUNTS}, "are its rows true or predicted labels"),
+    ({"confusion_matrix": [[0.8, 0.04], [0.1, 0.9], [0.14, 0.06]]}, "'boat' sum to 1.04, must sum to 1 "),
+    ({"confusion_matrix": COUNTS, "matrix_rows": "true", "annotations": {"boat": 100, "ship": 100}}, "would fit"),
+    ({"confusion_matrix": [[0, 4], [0, 5]], "matrix_rows": "predicted"}, "'boat' sum to 0, must to more than 0"),
+    ({"confusion_matrix": [[1.5, 4], [0, 5]]}, r"shares from 0 to 1, and not both \(1.5 is no count"),
+    ({"confusion_matrix": [[9, 1], [2, 8]], "matrix_rows": "true", "recall": None}, "recall: missing: the matrix"),
+])  # fmt: skip
 def test_a_wrong_report_is_refused_with_key_and_remedy(changes: dict[str, Any], message: str) -> None:
     given = {**TWO, "precision": 0.9, "recall": 0.8, **changes}
     with pytest.raises(InputError, match=message):

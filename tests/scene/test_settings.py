@@ -99,14 +99,11 @@ def test_keys_of_scene_vessels_and_detector_can_be_set_and_every_wrong_one_is_to
     assert "ferry, sailboat" in problem and "modsim3d.guess_detector" in problem
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "works"),
-    [
-        ("detector.states.clear.false_discovery_rate", 0.6, "set detector.false_positives.rate"),
-        ("detector.confidence_threshold", 0.5, "set detector.operating_threshold"),
-        ("detector.false_positives.merge_overlap", 0.5, "set detector.false_positives.merges"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "works"), [
+    ("detector.states.clear.false_discovery_rate", 0.6, "set detector.false_positives.rate"),
+    ("detector.confidence_threshold", 0.5, "set detector.operating_threshold"),
+    ("detector.false_positives.merge_overlap", 0.5, "set detector.false_positives.merges"),
+])  # fmt: skip
 def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(key: str, value: float, works: str) -> None:
     setting = {key: value}
     found = problems("strait", settings=setting)

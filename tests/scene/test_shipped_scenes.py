@@ -171,17 +171,14 @@ def to_port(own: Array, _: Array) -> Array:
     return own + 250 * np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead)
 
 
-@pytest.mark.parametrize(
-    ("section", "change", "said"),
-    [
-        ("leisure", lambda own, first: np.add(first, (0.0, 5.0)), "hulls come to 0.00 m"),
-        ("leisure", lambda own, first: [602.0, -408.0], "a hull comes to 0.00 m of land"),
-        ("leisure", lambda own, first: np.add(own, (0.0, 1500.0)), "is outside her area at"),
-        ("lanes", lambda own, first: own[0] + 3 * (own - own[0]), "m/s, asked for"),
-        ("lanes.fairway", to_port, "to starboard of the middle of her lane"),
-        ("encounters.head_on", lambda own, first: np.add(own, (0.0, 2.0)), "head_on: "),
-    ],
-)
+@pytest.mark.parametrize(("section", "change", "said"), [
+    ("leisure", lambda own, first: np.add(first, (0.0, 5.0)), "hulls come to 0.00 m"),
+    ("leisure", lambda own, first: [602.0, -408.0], "a hull comes to 0.00 m of land"),
+    ("leisure", lambda own, first: np.add(own, (0.0, 1500.0)), "is outside her area at"),
+    ("lanes", lambda own, first: own[0] + 3 * (own - own[0]), "m/s, asked for"),
+    ("lanes.fairway", to_port, "to starboard of the middle of her lane"),
+    ("encounters.head_on", lambda own, first: np.add(own, (0.0, 2.0)), "head_on: "),
+])  # fmt: skip
 def test_a_vessel_that_is_not_as_asked_is_found(drawn: Drawn, section: str, change: Change, said: str) -> None:
     """A vessel of a section that is there at the first step, from its own track and that of the first vessel."""
     there = np.isfinite(drawn.tracks.headings_rad[0])

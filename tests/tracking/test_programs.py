@@ -198,14 +198,11 @@ def test_a_program_that_fails_is_one_error(run, tmp_path, monkeypatch, fault, sa
     assert not (tmp_path / "t").exists()
 
 
-@pytest.mark.parametrize(
-    ("after", "said"),
-    [
-        ("sleep 99", "did not end within 2 s after the end of its input"),
-        ("echo more", "it wrote more than was asked: 'more'"),
-        ("exit 3", "it ended with status 3 after the end of its input"),
-    ],
-)
+@pytest.mark.parametrize(("after", "said"), [
+    ("sleep 99", "did not end within 2 s after the end of its input"),
+    ("echo more", "it wrote more than was asked: 'more'"),
+    ("exit 3", "it ended with status 3 after the end of its input"),
+])  # fmt: skip
 def test_a_program_ends_with_its_input_and_without_a_word(run, tmp_path, after, said):
     (tmp_path / "late.sh").write_text(LOOP.replace("FAULT", "true") + after, encoding="utf-8")
     with pytest.raises(ModsimError, match=f"at its end: {said}"):

@@ -75,16 +75,13 @@ def test_a_file_replaces_the_defaults_its_scene_the_file_and_the_caller_all(tmp_
     assert origin.versions == {name: version(name) for name in ("numpy", "scipy", "pydantic")}
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("chosen: x\nsetings: {}\n", "setings: unknown key (did you mean 'settings'?)"),
-        ("settings: {}\n", "chosen: missing"),
-        ("chosen: x\nsettings: {gat: 1}\n", "settings.gat: unknown key (did you mean 'gate'?)"),
-        ("chosen: x\nscenes: {harbour: {hits: many}}\n", "scenes.harbour.hits: "),
-        ("chosen: x\nsettings: [1]\n", "settings: a mapping of keys is needed"),
-    ],
-)
+@pytest.mark.parametrize(("text", "problem"), [
+    ("chosen: x\nsetings: {}\n", "setings: unknown key (did you mean 'settings'?)"),
+    ("settings: {}\n", "chosen: missing"),
+    ("chosen: x\nsettings: {gat: 1}\n", "settings.gat: unknown key (did you mean 'gate'?)"),
+    ("chosen: x\nscenes: {harbour: {hits: many}}\n", "scenes.harbour.hits: "),
+    ("chosen: x\nsettings: [1]\n", "settings: a mapping of keys is needed"),
+])  # fmt: skip
 def test_a_wrong_file_is_told_with_its_path_and_key(tmp_path: Path, text: str, problem: str) -> None:
     settings_file(tmp_path, text)
     with pytest.raises(InputError) as caught:

@@ -107,17 +107,14 @@ def test_a_folder_that_is_no_longer_what_was_written_is_refused(written, small_r
         read_tracks(written, small_run, small_rows)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda table: table.drop_columns("label"), "column 'label' is missing"),
-        (lambda table: table.append_column("more", table["step"]), "column 'more' is unknown"),
-        (lambda table: table.set_column(3, "track", table["step"].cast("int32")), "type int32, must have int64"),
-        (lambda table: table.set_column(1, "step", table["track"]), "takes no frame|there is no step"),
-        (lambda table: table.set_column(7, "x_max_px", table["x_min_px"]), "row 0: the box has width 0"),
-        (lambda table: table.take([0, 1, 1]), r"row 2: track \d+ is at step 0 of camera 'bow' already \(row 1\)"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda table: table.drop_columns("label"), "column 'label' is missing"),
+    (lambda table: table.append_column("more", table["step"]), "column 'more' is unknown"),
+    (lambda table: table.set_column(3, "track", table["step"].cast("int32")), "type int32, must have int64"),
+    (lambda table: table.set_column(1, "step", table["track"]), "takes no frame|there is no step"),
+    (lambda table: table.set_column(7, "x_max_px", table["x_min_px"]), "row 0: the box has width 0"),
+    (lambda table: table.take([0, 1, 1]), r"row 2: track \d+ is at step 0 of camera 'bow' already \(row 1\)"),
+])  # fmt: skip
 def test_a_wrong_table_is_refused(written, small_run, small_rows, change, said):
     table = pq.read_table(written / "tracks.parquet")
     pq.write_table(change(table), written / "tracks.parquet")

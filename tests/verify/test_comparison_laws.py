@@ -204,15 +204,12 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
     assert (pixels == palette.SEA).all(axis=-1).any()
 
 
-@pytest.mark.parametrize(
-    ("name", "vessel", "region"),
-    [
-        ("simulation_1", "vessel1", "exact region"),
-        ("strait", "barge", "exact region"),
-        ("strait", "ferry", "exact region"),
-        (None, "rafted", "region that a neighbour may hide"),
-    ],
-)
+@pytest.mark.parametrize(("name", "vessel", "region"), [
+    ("simulation_1", "vessel1", "exact region"),
+    ("strait", "barge", "exact region"),
+    ("strait", "ferry", "exact region"),
+    (None, "rafted", "region that a neighbour may hide"),
+])  # fmt: skip
 def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, tmp_path, name, vessel, region):
     monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-2])
     raft = {name: ([12, 4, 3], [[0, 90, w2], [1, 91, w2]]) for name, w2 in (("rafted", 0), ("other", 3))}

@@ -290,20 +290,17 @@ def test_tails_of_rare_events_are_those_of_a_poisson_number(mean):
         assert measures.skewed_tails(-z, -skewness)[1] == pytest.approx(math.exp(-mean))
 
 
-@pytest.mark.parametrize(
-    ("measure", "interval"),
-    [
-        (Estimate(0.004, 0.006, 0.01, 300, possible=SHARE), "[0, 0.0"),
-        (Estimate(0.944, 0.925, 0.04, 300, -0.3, possible=SHARE), "1]"),
-        (Estimate(0.003, 0.006, 0.01, 300, 5.0, possible=SHARE), "1]"),  # ∞ without what is possible
-        (Estimate(0.95, 0.8, 0.09, 90, possible=CORRELATION), "1]"),
-        (Estimate(1.02, 1.0, 1.2, 40, possible=AMOUNT), "[0, "),
-        (Estimate(1.3, 0.7, 0.2, 90, possible=CORRELATION), "1]"),
-        (SumDrift(0.01, 100.0), "[0, "),
-        (Rate(1, 40, 0.05), "[0"),
-        (ImageRate(0, 30, 0.1), "[0, "),
-    ],
-)
+@pytest.mark.parametrize(("measure", "interval"), [
+    (Estimate(0.004, 0.006, 0.01, 300, possible=SHARE), "[0, 0.0"),
+    (Estimate(0.944, 0.925, 0.04, 300, -0.3, possible=SHARE), "1]"),
+    (Estimate(0.003, 0.006, 0.01, 300, 5.0, possible=SHARE), "1]"),  # ∞ without what is possible
+    (Estimate(0.95, 0.8, 0.09, 90, possible=CORRELATION), "1]"),
+    (Estimate(1.02, 1.0, 1.2, 40, possible=AMOUNT), "[0, "),
+    (Estimate(1.3, 0.7, 0.2, 90, possible=CORRELATION), "1]"),
+    (SumDrift(0.01, 100.0), "[0, "),
+    (Rate(1, 40, 0.05), "[0"),
+    (ImageRate(0, 30, 0.1), "[0, "),
+])  # fmt: skip
 def test_intervals_and_what_is_noticed_are_cut_to_what_is_possible(measure: measures.Measure, interval: str) -> None:
     (verdict,) = judge([Parameter("p", "group", measure)]).verdicts
     low, high = getattr(measure, "possible", AMOUNT)

@@ -113,17 +113,14 @@ def test_a_run_of_every_model_obeys_its_file(many, table, name):
     assert verification.obeys, [verdict.parameter.name for verdict in verification.failed]
 
 
-@pytest.mark.parametrize(
-    "made_with, cause",
-    [
-        ("persistence of misses, 1 s", "persistence.class_s"),
-        ("persistence of box errors, 1 s", "persistence.box_s"),
-        ("persistence of confidence, 1 s", "persistence.confidence_s"),
-        ("doubled, split and merged boxes", "false_positives.duplicates"),
-        ("persistent false positives", "false_positives.persistence.share"),
-        ("false positives on vessels", "false_positives.on_vessels.share"),
-    ],
-)
+@pytest.mark.parametrize("made_with, cause", [
+    ("persistence of misses, 1 s", "persistence.class_s"),
+    ("persistence of box errors, 1 s", "persistence.box_s"),
+    ("persistence of confidence, 1 s", "persistence.confidence_s"),
+    ("doubled, split and merged boxes", "false_positives.duplicates"),
+    ("persistent false positives", "false_positives.persistence.share"),
+    ("false positives on vessels", "false_positives.on_vessels.share"),
+])  # fmt: skip
 def test_a_model_that_the_file_does_not_have_is_named(many, table, made_with, cause):
     evidence = many.detect(parse_detector(variant(made_with)), 3)
     verification = verify_evidence(parse_detector(thesis_data()), evidence, table)
@@ -171,17 +168,14 @@ def test_other_detectors_no_runs_broken_tables_and_interrupted_runs_are_refused(
         verify_run(open_run(cut))
 
 
-@pytest.mark.parametrize(
-    "keys, name",
-    [
-        ({}, None),
-        ({"size": {"model": "fixed", "px": [40, 20]}, "far_half_px": 90.0}, None),
-        ({"placement": "horizon_band", "band_px": 300.0}, "false_positives.placement[below the horizon]"),
-        ({"placement": "density", "density": [[1, 2]]}, "false_positives.placement[along the horizon]"),
-        ({"size": {"model": "fixed", "px": [40, 20]}}, "false_positives.size[width]"),
-        ({"persistence": {"lifetime_s": 0.4, "share": 0.5}}, "false_positives.persistence.lifetime_s"),
-    ],
-)
+@pytest.mark.parametrize("keys, name", [
+    ({}, None),
+    ({"size": {"model": "fixed", "px": [40, 20]}, "far_half_px": 90.0}, None),
+    ({"placement": "horizon_band", "band_px": 300.0}, "false_positives.placement[below the horizon]"),
+    ({"placement": "density", "density": [[1, 2]]}, "false_positives.placement[along the horizon]"),
+    ({"size": {"model": "fixed", "px": [40, 20]}}, "false_positives.size[width]"),
+    ({"persistence": {"lifetime_s": 0.4, "share": 0.5}}, "false_positives.persistence.lifetime_s"),
+])  # fmt: skip
 def test_honest_false_positives_obey_and_others_are_told_apart(many, keys, name):
     usual = {"model": "per_image", "rate": 2.0, "persistence": {"lifetime_s": 2.0, "share": 0.5}}
     clutter = usual | keys, usual | ({} if name else keys)

@@ -218,18 +218,15 @@ def in_state(scene, state):
     return replace(FOLLOWS.in_state(scene, state), caption="")
 
 
-@pytest.mark.parametrize(
-    ("state", "caption"),
-    [
-        ("clear", "clear"),
-        ("haze", "haze, 3,000 m"),
-        ("foggy_cloudy", "overcast, fog, 800 m"),
-        ("night_clear", "night, clear"),
-        ("evening_cloudy_rain", "dusk, rain, visibility 4,000 m"),
-        ("stormy_clouds", "overcast, waves 1.2 m"),
-        ("noon_clear_experiment_2", "clear"),
-    ],
-)
+@pytest.mark.parametrize(("state", "caption"), [
+    ("clear", "clear"),
+    ("haze", "haze, 3,000 m"),
+    ("foggy_cloudy", "overcast, fog, 800 m"),
+    ("night_clear", "night, clear"),
+    ("evening_cloudy_rain", "dusk, rain, visibility 4,000 m"),
+    ("stormy_clouds", "overcast, waves 1.2 m"),
+    ("noon_clear_experiment_2", "clear"),
+])  # fmt: skip
 def test_a_picture_says_which_weather_of_a_shipped_state_it_shows(scene, state, caption):
     assert FOLLOWS.in_state(scene, state).caption == f"drawn as: {caption}"
 
@@ -265,16 +262,13 @@ def test_looks_change_no_truth_and_a_detector_in_place_of_the_scenes_leaves_its_
     assert again.looks == foggy.looks == {} and again.look_of("foggy_cloudy").visibility_m == 800
 
 
-@pytest.mark.parametrize(
-    ("looks", "problem"),
-    [
-        ({"hase": {}}, "looks.hase: no state 'hase' (did you mean 'haze'?)"),
-        ({"haze": {"visibilty_m": 5}}, "looks.haze.visibilty_m: unknown key (did you mean 'visibility_m'?)"),
-        ({"haze": {"visibility_m": 0}}, "looks.haze.visibility_m: must be above 0 (got 0)"),
-        ({"haze": {"rain": 1}}, "looks.haze.rain: true or false is needed (got 1)"),
-        ({"haze": {"dusk": True, "night": True}}, "looks.haze.night: it is dusk or night, not both"),
-    ],
-)
+@pytest.mark.parametrize(("looks", "problem"), [
+    ({"hase": {}}, "looks.hase: no state 'hase' (did you mean 'haze'?)"),
+    ({"haze": {"visibilty_m": 5}}, "looks.haze.visibilty_m: unknown key (did you mean 'visibility_m'?)"),
+    ({"haze": {"visibility_m": 0}}, "looks.haze.visibility_m: must be above 0 (got 0)"),
+    ({"haze": {"rain": 1}}, "looks.haze.rain: true or false is needed (got 1)"),
+    ({"haze": {"dusk": True, "night": True}}, "looks.haze.night: it is dusk or night, not both"),
+])  # fmt: skip
 def test_a_wrong_look_is_refused(looks, problem):
     with pytest.raises(InputError) as error:
         load_scene("strait", settings={"looks": looks})

@@ -46,15 +46,12 @@ def test_masks_go_with_coco_and_pixels_of_the_image_alone_and_cameras_and_folder
         assert "predictions is being written by" in export(modsim3d, run, tmp_path, "--format", "yolo")
 
 
-@pytest.mark.parametrize(
-    ("name", "parts"),
-    [
-        ("labels/a.txt", ("labels exists: use --overwrite", None)),
-        ("labels/a.jpg", ("labels holds other files than *.txt (a.jpg)",) * 2),
-        ("labels", ("labels is a file, and a folder is to be written there",) * 2),
-        ("images/deep/a.png", ("images holds other files than *.png (deep)",) * 2),
-    ],
-)
+@pytest.mark.parametrize(("name", "parts"), [
+    ("labels/a.txt", ("labels exists: use --overwrite", None)),
+    ("labels/a.jpg", ("labels holds other files than *.txt (a.jpg)",) * 2),
+    ("labels", ("labels is a file, and a folder is to be written there",) * 2),
+    ("images/deep/a.png", ("images holds other files than *.png (deep)",) * 2),
+])  # fmt: skip
 def test_a_folder_that_is_there_is_replaced_only_if_it_holds_nothing_else(modsim3d, run, tmp_path, name, parts):
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_text("mine")

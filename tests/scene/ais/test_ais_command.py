@@ -160,23 +160,20 @@ def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchan
     assert "latitude 12.6" in said and "--swap-coordinates exchanges them" in said
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"", "the file is empty"),
-        (b"\n \n", "the file is empty"),
-        (
-            HEAD.replace(b"Latitude,Longitude", b"Breite,Laenge"),
-            "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp",
-        ),
-        (b"PK\x03\x04xxxx", "unpack it first (unzip data)"),
-        (b"\x28\xb5\x2f\xfdxxxx", "unpack it first (zstd -d data)"),
-        (HEAD + b"\n", "the files hold no positions at all"),
-        (HEAD, "the files hold no positions at all"),
-        (b"!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A\n", "has no times"),
-        (b"1423133048 !AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4B\n", "too much of it cannot be read: 1 of 1"),
-    ],
-)
+@pytest.mark.parametrize(("content", "says"), [
+    (b"", "the file is empty"),
+    (b"\n \n", "the file is empty"),
+    (
+        HEAD.replace(b"Latitude,Longitude", b"Breite,Laenge"),
+        "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp",
+    ),
+    (b"PK\x03\x04xxxx", "unpack it first (unzip data)"),
+    (b"\x28\xb5\x2f\xfdxxxx", "unpack it first (zstd -d data)"),
+    (HEAD + b"\n", "the files hold no positions at all"),
+    (HEAD, "the files hold no positions at all"),
+    (b"!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A\n", "has no times"),
+    (b"1423133048 !AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4B\n", "too much of it cannot be read: 1 of 1"),
+])  # fmt: skip
 def test_a_file_that_is_of_no_use_says_why(problem, tmp_path, content, says):
     (tmp_path / "data").write_bytes(content)
     assert says in problem(tmp_path / "data")

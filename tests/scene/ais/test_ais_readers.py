@@ -303,15 +303,12 @@ def test_lines_that_are_too_long_are_counted(tmp_path: Path, length: int) -> Non
     assert not chunk.dropped
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda text: text.encode("utf-16"), "is UTF-16 text, must be UTF-8"),
-        (lambda text: b"sep=,\n" + text.encode(), "none of the formats.*line 1 is for spreadsheets alone, leave it"),
-        (lambda text: text.replace(",", ";").encode(), "none of the formats.*cells have semicolons"),
-        (lambda text: text.replace("\n", "\r").encode(), "lines end with carriage returns alone"),
-    ],
-)
+@pytest.mark.parametrize(("change", "says"), [
+    (lambda text: text.encode("utf-16"), "is UTF-16 text, must be UTF-8"),
+    (lambda text: b"sep=,\n" + text.encode(), "none of the formats.*line 1 is for spreadsheets alone, leave it"),
+    (lambda text: text.replace(",", ";").encode(), "none of the formats.*cells have semicolons"),
+    (lambda text: text.replace("\n", "\r").encode(), "lines end with carriage returns alone"),
+])  # fmt: skip
 def test_what_is_wrong_with_the_text_of_a_table_is_said(tmp_path: Path, change, says: str) -> None:
     path = old_file(tmp_path, row(0), row(30))
     assert len(traffic_of(path).vessels) == 1
