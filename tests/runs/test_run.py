@@ -14,7 +14,6 @@ import modsim3d
 from modsim3d import RunDirectoryError, Scene, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.detector.records import KINDS
 from modsim3d.runs import pipeline
-from modsim3d.runs import pipeline as simulate
 from tests.cli.bad_input.builders import GOOD, Call, Inputs, at, lens
 from tests.run_folders import interrupt, run_files
 
@@ -203,7 +202,7 @@ def test_two_workers_write_the_bytes_of_one(call: Call, folder: Path, run: Path)
 
 
 def test_an_interrupted_run_has_a_page_and_goes_on_to_the_same_bytes(call, folder, run, model_scene, monkeypatch):
-    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 250)
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
     interrupt(model_scene, folder / "cut")
     assert call("report", folder / "cut")[0] == 0
     cut = open_run(folder / "cut")
