@@ -262,7 +262,6 @@ def test_an_own_effect_that_equals_the_shared_one_changes_nothing(anchor: str) -
     ({}, {"distance_m": {"per_unit": 1}}, "states.fog.dropout.distance_m: give exactly one of per_unit and"),
     ({}, FOG_TABLE, "states.fog.dropout: distance_m: model logistic needs per_unit or per_doubling, and reference"),
     (NONE, OWN, "states.fog.dropout: model confusion has no distance_m: choose model logistic or table"),
-    ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, partly_hidden"),
     ({"intercept": [0.1]}, OWN, "has 1 entries, must have one for each of the labels"),
     (INTERCEPT | {"anchor": "state_rate"}, OWN, "dropout.intercept: anchor state_rate holds"),
     ({"partly_hidden": {"per_doubling": 1, "reference": 1}}, OWN, "partly_hidden: is 0 or 1, which nothing doubles"),

@@ -152,11 +152,8 @@ def write_sets(folder, box, seed=0, shift_px=0.0, noise_px=2.0, stray=4):
 
 
 WRONG = {
-    "corners": (lambda x, y, w, h: (x, y, x + w, y + h), "but are the corners x_min, y_min, x_max, y_max"),
     "centres": (lambda x, y, w, h: (x + w / 2, y + h / 2, w, h), "but are centre x, centre y, width, height"),
-    "shares": (lambda x, y, w, h: (x / WIDTH, y / HEIGHT, w / WIDTH, h / HEIGHT), "the boxes are shares of the image"),
     "scaled": (lambda x, y, w, h: (x / 3, y / 3, w / 3, h / 3), "are those of an image of 640 x 360 px"),
-    "exchanged": (lambda x, y, w, h: (y, x, h, w), "x and y of the boxes are exchanged"),
     "from below": (lambda x, y, w, h: (x, HEIGHT - y - h, w, h), "y is counted from the lower edge of the image"),
 }
 

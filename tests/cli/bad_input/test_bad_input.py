@@ -119,7 +119,6 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     # what belongs together
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], "cameras.shore.mount: give exactly"),
     ("scene", "cameras/shore/pose", DELETED, "cameras.shore.mount: give exactly one of pose (ashore) and mount"),
-    ("scene", "poses", CIRCULAR, "poses: circular has no times of its own: give steps and time_step_s"),
     ("scene", "poses", {"file": "poses.json", **CIRCULAR}, f"{EXACTLY} (got circular, file)"),
     ("scene", "poses", {}, EXACTLY),
     ("scene", "poses", {"file": None}, EXACTLY),
@@ -129,7 +128,7 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("scene", "poses", {"agents": {"size_m": [150, 0]}}, "poses.agents.size_m[1]: must be above 0"),
     ("scene", "poses", {"agents": {"size_m": [9, 9], "speed_m_s": [3, 2]}}, "is [least, greatest], but 3.0 > 2.0"),
     ("scene", "poses", {"agents": {"size_m": [9, 9], "speed": [3, 2]}}, "poses.agents.speed: unknown key (did you"),
-    ("scene", "steps", 5, "steps: 5 asked for, but the pose file has 4"),
+    ("scene", "steps", 9, "steps: 9 asked for, but the pose file has 4"),
     # nothing there
     ("scene", "cameras", {}, "cameras: no cameras; a scene needs at least one"),
     ("scene", "vessels", {}, "vessels: no vessels; a scene needs at least one"),
@@ -140,8 +139,6 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     *(("scene", path, ".", "this is a folder, a file was expected") for path in ("vessels", "poses/file", "detector")),
     ("scene", "detector", "a\0b", "is no valid file name"),
     ("scene", "detector", "x" * 5000, "cannot be read: File name too long"),
-    # places
-    ("poses", "2.0/vehicle1", DELETED, "cameras.C0.mount.vessel: 'vehicle1' has no pose at time 2.0 s"),
 ]
 
 
@@ -166,13 +163,6 @@ def test_camera_inside_a_vessel_names_both_and_the_time(inputs, refused, call) -
     inputs.set("scene", "steps", 3)
     inputs.set("scene", "annotation/allow_camera_inside", True)
     assert call("check", "scene", inputs.write())[0] == 0
-
-
-def test_steps_beyond_the_pose_file_and_rings_that_do_not_fit_are_told(inputs, refused) -> None:
-    refused(inputs.write(), "steps: 9 asked for, but the pose file has 4", options=("--steps", 9))
-    rings = {"circular": {"radius_m": [5, 9], "rotation_rate_rad_s": [0, 1]}}
-    inputs.data["scene"].update(poses=rings, time_step_s=1, steps=5)
-    refused(inputs.write(), "poses.circular: no free ring for vessel 'vehicle2' (8.0 m × 4.0 m) between radii 5.0 and")
 
 
 def test_times_that_do_not_increase_are_told(inputs, refused) -> None:
@@ -291,9 +281,6 @@ SCENE: dict[str, Any] = {
     "annotation": {"mode": 2, "source": "analytic"},
     "detector": "detector.yaml",
 }
-ISLAND = {"polygon_m": [[50, -20], [90, -20], [90, 20]], "height_m": 5}
-CROWDED = {"polygon_m": [[0, 0], [1e5, 0], [0, 1e5]], "per_km2": 9e3, "kinds": ["kayak"]}
-NAMES = ["own", *(f"west_{i}" for i in range(1, 60))]
 ON_BOARD = lens(mount={"vessel": "west_1", "position_m": [2.0, 0.0, 2.0]})
 
 
@@ -311,14 +298,8 @@ def written(folder: Path, **changes: Any) -> Path:
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "labels": (_traffic(lanes={"west": LANE}), "poses.traffic: draws vessels with the label 'boat' ("),
     "how to label": (_traffic(lanes={"west": LANE}), "set poses.traffic.labels"),
-    "name": ({"vessels": dict.fromkeys(NAMES, SCENE["vessels"]["own"])}, "poses.traffic: draws a vessel 'west_"),
-    "kind": (_traffic(lanes={"west": LANE | {"kinds": ["motorbaot"]}}), "did you mean 'motorboat'?"),
-    "key": (_traffic(lane={}), "poses.traffic.lane: unknown key (did you mean 'lanes'?)"),
-    "land": ({"obstacles": {"island": ISLAND}}, "poses.traffic.lanes.west.waypoints_m: leads over an obstacle"),
     "no own ship": ({"vessels": {}}, "poses.traffic.own.own: no vessel 'own'"),
-    "no times": ({"steps": None}, "poses: traffic has no times of its own: give steps beside it"),
     "mount": ({"cameras": {"bow": ON_BOARD}}, "cameras.bow.mount.vessel: no vessel 'west_1'"),
-    "too many": (_traffic(leisure={"sea": CROWDED}), "poses.traffic.leisure.sea.per_km2: means"),
 }
 
 
