@@ -15,13 +15,7 @@ from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, Normal, StudentT, 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import Detections
 from modsim3d.detector.truncation import truncated_errors
-from modsim3d.scene.reading import load_scene
-from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step
-from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.evidence import ManyDetections
-from modsim3d.verify.verification import verify_evidence
 from tests.detector import detector_builders as build
-from tests.detector_variants import variant
 
 SEEN = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
 THESIS = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)
@@ -307,101 +301,3 @@ def test_a_t_law_in_one_state_leaves_the_bytes_of_another_alone_and_scales_persi
     lengths = np.log(np.einsum("tvi,ij,tvj->tv", moved, np.linalg.inv(C), moved))
     near, far = (np.corrcoef(lengths[lag:].ravel(), lengths[:-lag].ravel())[0, 1] for lag in (1, 60))
     assert near > 0.8 and abs(far) < 0.1
-
-
-TAIL_BOXES = np.array([[1800.0, 1200, 1840, 1212], [1800.0, 1200, 2200, 1500], [0.0, 700, 15, 790]])
-
-
-def law_of(nu: float) -> ErrorParameters:
-    state = parse_detector(build.one_state_data(box_error=t_error(nu))).states[0]
-    return ErrorParameters.of(state.box_error)
-
-
-@pytest.mark.parametrize("parameter", range(15))
-def test_scores_are_derivatives_of_the_t_density(parameter: int) -> None:
-    law, h = law_of(NU), 1e-5
-    x = np.random.default_rng(8).standard_normal((20, 4)) * 1.5
-    step = np.zeros(15)
-    step[parameter] = h
-
-    def log_density(moved: ErrorParameters) -> np.ndarray:
-        nu = moved.numbers()[-1]
-        scale = moved.std / law.std
-        shape = moved.correlation * np.outer(scale, scale) * (nu - 2) / nu
-        return np.asarray(stats.multivariate_t((moved.mean - law.mean) / law.std, shape, df=nu).logpdf(x))
-
-    slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
-    weights, _ = law.score_weights(TAIL_BOXES[:1])
-    found = law.statistics(x) @ weights[parameter]
-    np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
-
-
-def samples_of(law: ErrorParameters, copies: int, count: int) -> list[StateErrors]:
-    """Truncated errors of three boxes, so many of each, so many times over."""
-    boxes, rng, pools = np.repeat(TAIL_BOXES, copies, axis=0), np.random.default_rng(3), []
-    nu, images = law.numbers()[-1], np.tile(np.array(build.IMAGE_PX, float), (len(boxes), 1))
-    shape = law.correlation * np.outer(law.std, law.std) * (nu - 2) / nu
-    for box in TAIL_BOXES:
-        draws = stats.multivariate_t(law.mean, shape, df=nu).rvs(12 * copies * count, random_state=rng)
-        pools.append(draws[inside_image(move(box, draws), build.IMAGE_PX)])
-    samples = (np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]) for k in range(count))
-    return [StateErrors(sample, np.arange(len(boxes)), boxes, images) for sample in samples]
-
-
-def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error() -> None:
-    law, table, z = law_of(4.0), MomentTable(), []
-    for sample in samples_of(law, 60, 40):
-        step = fit_step(law, sample, table)
-        assert step is not None
-        z.append(step.step / step.errors)
-    assert np.abs(np.mean(z, axis=0)).max() < 4.2 / np.sqrt(40)
-    assert np.abs(np.std(z, axis=0) - 1).max() < 4.2 / np.sqrt(80)
-
-
-@pytest.fixture(scope="module")
-def many() -> ManyDetections:
-    return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
-
-
-@pytest.fixture(scope="module")
-def table(many: ManyDetections) -> MomentTable:
-    """What is expected of box errors over that truth, most of the work of `verify`."""
-    return MomentTable()
-
-
-def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, Any]:
-    data = variant("plain") | sections
-    for state in data["states"].values():
-        error = state["box_error"]
-        error.update(law="student_t", degrees_of_freedom=nu)
-        error["covariance"] = [[spread * value for value in row] for row in error["covariance"]]
-    return data
-
-
-def test_honest_seeds_and_errors_that_persist_obey_and_a_wrong_law_is_noticed_and_named(many, table):
-    """Standard errors that are a quarter too small are found by their spread, and hardly by whether seeds obey."""
-    model, z = parse_detector(t_data()), []
-    for seed in range(6):
-        found = verify_evidence(model, many.detect(model, seed), table)
-        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
-        of_law = (v.parameter.measure for v in found.verdicts if ".box_error." in v.parameter.name)
-        z += [measure.z for measure in of_law if measure is not None]
-    assert len(z) > 150 and abs(np.mean(z)) < 4 / np.sqrt(len(z))
-    assert abs(np.std(z) - 1) < 4 / np.sqrt(2 * len(z))
-    model = parse_detector(t_data(persistence={"box_s": 0.5}))
-    measured = []
-    for seed in range(2):
-        found = verify_evidence(model, many.detect(model, seed), table)
-        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
-        measured += [v.measured for v in found.verdicts if v.parameter.name == "persistence.box_s"]
-    standard_error = 0.045 / np.sqrt(2)
-    assert np.mean(measured) == pytest.approx(np.exp(-0.2 / 0.5), abs=4 * standard_error)
-    heavy = parse_detector(t_data())
-    for asked, made_with, named in (
-        (heavy, t_data(nu=60.0), "box_error.degrees_of_freedom"),
-        (heavy, t_data(spread=2.0), "box_error.std"),
-        (parse_detector(variant("plain")), t_data(nu=2.5), "box_error"),
-    ):
-        moments = table if asked is heavy else MomentTable()
-        failed = verify_evidence(asked, many.detect(parse_detector(made_with), 1), moments).failed
-        assert any(named in verdict.parameter.name for verdict in failed), named

@@ -30,6 +30,7 @@ from modsim3d.tracking.scores.scoring import Part, SubsetScores
 from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracking.trackers.registry import command_tracker
 from modsim3d.tracking.world.collision import MetVessel
+from tests.campaign.engines.campaigns import waited_for
 from tests.plugin_site import site
 from tests.run_folders import finished
 
@@ -237,13 +238,6 @@ def family(tmp_path: Path) -> Iterator[Path]:
     yield tmp_path
     if (tmp_path / "family").exists():
         assert not [each for each in (tmp_path / "family").read_text().split() if Path("/proc", each).exists()]
-
-
-def waited_for(what: Any) -> None:
-    until = time.monotonic() + 30
-    while not what():
-        assert time.monotonic() < until
-        time.sleep(0.02)
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are looked up in /proc")

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy import stats
 
 from modsim3d.core.boxes import inside_image, move
 from modsim3d.detector.confidence import clipped_score
+from modsim3d.detector.draws import StudentT
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.truncation import ordered_root
@@ -19,14 +21,14 @@ from modsim3d.verify.box_error_checks import latent_paths, replayed_errors
 from modsim3d.verify.class_checks import inflation, lag_pairs
 from modsim3d.verify.confidence_checks import Clipped
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step, fitted_law
-from modsim3d.verify.error_parameters import ErrorParameters, directions
+from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.figures import expected_run_lengths
 from modsim3d.verify.independence_checks import Strongest, SumDrift
 from modsim3d.verify.measures import AMOUNT, CORRELATION, SHARE, DiscoveryRate, Estimate, Exact, ImageRate, Rate
 from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Law, Occupancy, Parameter, judge
-from modsim3d.verify.verification import occupancy_law
+from modsim3d.verify.verification import occupancy_law, verify_evidence
 from modsim3d.verify.verify_run import conclusion
-from tests.detector_variants import thesis_data
+from tests.detector_variants import thesis_data, variant
 
 IMAGE_PX = (3600, 2400)
 BOXES_PX = np.array(
@@ -50,14 +52,22 @@ LAWS = {
     "px": law_of(),
     "relative": law_of(mean=np.array([0.1, 0, -0.1, 0.2]), std=np.array([0.3, 0.4, 0.6, 0.5]), relative=True),
     "mixed": law_of(std=np.array([5.0, 4, 6, 5]), growth=np.array([0.1, 0, 0.3, 0.2])),
+    "student_t": law_of(distribution=StudentT(4.0)),
 }
+
+
+def density(law: ErrorParameters, other: ErrorParameters) -> Any:
+    """The distribution of a law's errors from the means of another one, in standard deviations of that one."""
+    nu, spread = getattr(law.distribution, "degrees_of_freedom", np.inf), law.std / other.std
+    shape = (1 - 2 / nu) * law.correlation * np.outer(spread, spread)
+    return stats.multivariate_t((law.mean - other.mean) / other.std, shape, df=nu)
 
 
 def sampled(law: ErrorParameters, box: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
     """Errors of one box by drawing until they count, standardised."""
     rng = np.random.default_rng(seed)
     means, stds = law.at(box[None])
-    drawn = rng.multivariate_normal(np.zeros(4), law.correlation, size=count)
+    drawn = density(law, law).rvs(count, random_state=rng)
     return drawn[inside_image(move(box, means[0] + stds[0] * drawn), IMAGE_PX)]
 
 
@@ -99,19 +109,14 @@ def test_ordered_roots_lag_pairs_quantiles_and_the_shared_level_are_those_of_a_s
     assert verification.cause.parameter is off
 
 
-@pytest.mark.parametrize("parameter", range(14))
-def test_directions_are_derivatives_of_the_normal_density(parameter):
-    law, h = LAWS["px"], 1e-5
-    x = np.random.default_rng(8).standard_normal((20, 4))
-    step = np.zeros(14)
-    step[parameter] = h
-
-    def log_density(moved: ErrorParameters) -> np.ndarray:
-        mean, std = (moved.mean - law.mean) / law.std, moved.std / law.std
-        return stats.multivariate_normal(mean, moved.correlation * np.outer(std, std)).logpdf(x)
-
-    slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
-    found = law.statistics(x) @ directions(law.correlation)[parameter]
+@pytest.mark.parametrize("name, parameter", [*(("px", k) for k in range(14)), *(("student_t", k) for k in range(15))])
+def test_scores_are_derivatives_of_the_density(name, parameter):
+    law, step = LAWS[name], np.zeros(14 + (name == "student_t"))
+    x = np.random.default_rng(8).standard_normal((20, 4)) * 1.5
+    step[parameter] = 1e-5
+    above, below = (density(law.moved(each), law).logpdf(x) for each in (step, -step))
+    slope, (weights, _) = (above - below) / 2e-5, law.score_weights(BOXES_PX[:1])
+    found = law.statistics(x) @ weights[parameter]
     np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
 
 
@@ -341,3 +346,41 @@ def test_what_no_violation_would_have_changed_is_too_little_seen_and_only_entrie
     rule = Parameter("fdr", "group", DiscoveryRate(0, 5000, 0.0), 0.089, promised=0.089)
     fine = Parameter("fdr", "group", DiscoveryRate(480, 5000, 490), 0.089, promised=0.089)
     assert [v.verdict for v in judge([rule, fine]).verdicts] == [FALLS_SHORT, OBEYS] and judge([rule]).obeys
+
+
+def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, Any]:
+    data = variant("plain") | sections
+    for state in data["states"].values():
+        error = state["box_error"]
+        error.update(law="student_t", degrees_of_freedom=nu)
+        error["covariance"] = [[spread * value for value in row] for row in error["covariance"]]
+    return data
+
+
+def test_honest_seeds_and_errors_that_persist_obey_and_a_wrong_law_is_noticed_and_named(many, table):
+    """Standard errors that are a quarter too small are found by their spread, and hardly by whether seeds obey."""
+    model, z = parse_detector(t_data()), []
+    for seed in range(6):
+        found = verify_evidence(model, many.detect(model, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+        of_law = (v.parameter.measure for v in found.verdicts if ".box_error." in v.parameter.name)
+        z += [measure.z for measure in of_law if measure is not None]
+    assert len(z) > 150 and abs(np.mean(z)) < 4 / np.sqrt(len(z))
+    assert abs(np.std(z) - 1) < 4 / np.sqrt(2 * len(z))
+    model = parse_detector(t_data(persistence={"box_s": 0.5}))
+    measured = []
+    for seed in range(2):
+        found = verify_evidence(model, many.detect(model, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+        measured += [v.measured for v in found.verdicts if v.parameter.name == "persistence.box_s"]
+    standard_error = 0.045 / np.sqrt(2)
+    assert np.mean(measured) == pytest.approx(np.exp(-0.2 / 0.5), abs=4 * standard_error)
+    heavy = parse_detector(t_data())
+    for asked, made_with, named in (
+        (heavy, t_data(nu=60.0), "box_error.degrees_of_freedom"),
+        (heavy, t_data(spread=2.0), "box_error.std"),
+        (parse_detector(variant("plain")), t_data(nu=2.5), "box_error"),
+    ):
+        moments = table if asked is heavy else MomentTable()
+        failed = verify_evidence(asked, many.detect(parse_detector(made_with), 1), moments).failed
+        assert any(named in verdict.parameter.name for verdict in failed), named
