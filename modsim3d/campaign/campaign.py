@@ -24,10 +24,10 @@ from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import ROWS_PATTERN, changes, stored_report
 from modsim3d.campaign.workers import Engine, ProcessPool
-from modsim3d.core.document import Document, Where
+from modsim3d.core.document import Document, Items, Result, Table, Text, Where
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import counted
+from modsim3d.core.text import UNKNOWN, counted
 from modsim3d.io.overwrite_guard import LOCK_FILE, holder_of
 from modsim3d.io.processes import WorkerCount, worker_count
 
@@ -109,7 +109,7 @@ def _times(folder: CampaignFolder, left: int, holder: str | None) -> tuple[float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Campaign:
+class Campaign(Result):
     """A campaign, finished or not.
 
         campaign = modsim3d.open_campaign("runs/example")
@@ -127,14 +127,12 @@ class Campaign:
     verdicts: tuple[Verdict, ...]
     finished: bool
 
-    def __repr__(self) -> str:
-        """Its place and its outcome, in a line."""
-        return f"<Campaign {self.folder}: {self.conclusion}>"
-
-    def _repr_html_(self) -> str:
-        """The outcome, and the mean scores of each tracker in each condition."""
+    def _document(self) -> Document:
+        """The mean scores of each tracker in each condition, the verdicts, and the outcome."""
         title = f"Campaign {self.folder}: {self.conclusion}; means [95 % interval over traffic seeds]"
-        return Document(title, (), [mean_table(self.means(), title, where=Where.NOTEBOOK)]).notebook()
+        verdicts = Items([f"{each.tracker}: {each.text}: {each.outcome}" for each in self.verdicts])
+        means = mean_table(self.means(), title, where=Where.EVERYWHERE)
+        return Document(title, [Text(self.conclusion, "lead")], [means, verdicts])
 
     @property
     def conclusion(self) -> str:
@@ -239,14 +237,19 @@ def search_campaign(
     return run_search(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
 
 
-@dataclass(frozen=True)
-class CampaignPlan:
+@dataclass(frozen=True, repr=False)
+class CampaignPlan(Result):
     """Number of runs that a campaign would make, from `plan_campaign`; of frames of all cameras in all of them; and of
     traffic seeds that each requirement needs."""
 
     runs: int
     frames: int
     needed: tuple[NeededSeeds, ...]
+
+    def _document(self) -> Document:
+        rows = [(each.text, each.tracker or "all", str(each.seeds or UNKNOWN), each.why) for each in self.needed]
+        table = Table("traffic seeds needed", ("requirement", "tracker", "seeds", "why"), rows, where=Where.EVERYWHERE)
+        return Document("", [Text(f"{self.runs:,} runs of {self.frames:,} frames together")], [table])
 
 
 def plan_campaign(

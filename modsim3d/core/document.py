@@ -3,10 +3,11 @@ What is empty is not shown, nor is a heading with nothing below it: a result fil
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Flag, auto
 from html import escape
+from textwrap import shorten, wrap
 from types import MappingProxyType
 from typing import Literal
 
@@ -25,6 +26,7 @@ class Where(Flag):
     EVERYWHERE = PAGE | TERMINAL | NOTEBOOK
 
 
+MAX_LINES = 40  # that `print` shows of a result
 Style = Literal["", "lead", "soft", "bad", "code"]
 
 
@@ -133,9 +135,59 @@ class Document:
     lead: Sequence[Text]  # the outcome: first on a page, last on a terminal
     blocks: Sequence[Block]  # all else, in the order of a page
 
+    def __str__(self) -> str:
+        """Plain text of what a terminal shows, the outcome last; where that is long, of what a notebook shows."""
+        brief, short = ([*_lines(self.blocks, where)] for where in (Where.BRIEF, Where.NOTEBOOK))
+        lead = dict.fromkeys([*_lines(self.lead), *_lines(self.lead, Where.NOTEBOOK)])
+        return "\n".join([*(short if len(brief) > MAX_LINES else brief), *lead])
+
     def notebook(self) -> str:
         """HTML for a notebook: the outcome and the blocks that are for one."""
         return "".join(map(_in_notebook, shown([*self.lead, *self.blocks], Where.NOTEBOOK)))
+
+
+class Result:
+    """Base of results: `print` says what the command says, a notebook shows the tables, and `repr` is a line."""
+
+    noun = ""
+
+    def _rows(self) -> dict[str, str]:
+        """Its parts by name; an array or a table by its shape."""
+        shapes = {name: getattr(value, "shape", None) for name, value in vars(self).items()}
+        brief = {name: shorten(repr(vars(self)[name]), 60, placeholder=" …") for name in shapes if not shapes[name]}
+        return {name: brief.get(name, f"shape {shape}") for name, shape in shapes.items()}
+
+    def _document(self) -> Document:
+        title = f"{self.noun or type(self).__name__} {getattr(self, 'folder', '')}".strip()
+        return Document(title, (), [Table(title, (), list(self._rows().items()), where=Where.EVERYWHERE)])
+
+    def __str__(self) -> str:
+        """Text of its document, as its command prints it."""
+        return str(self._document())
+
+    def __repr__(self) -> str:
+        """Its place, and its outcome or what it has, in a line."""
+        lead = " ".join(_lines(self._document().lead)) or ", ".join(map(" ".join, self._rows().items()))
+        return f"<{type(self).__name__} {getattr(getattr(self, 'run', self), 'folder', '')}".rstrip() + f": {lead}>"
+
+    def _repr_html_(self) -> str | None:
+        return self._document().notebook() or None
+
+
+def _lines(blocks: Iterable[Block], where: Where = Where.BRIEF) -> Iterator[str]:
+    for block in shown(blocks, where):
+        match block:
+            case Heading() | Text():
+                yield from wrap(block.text, 100)
+            case Items():
+                yield from (line for text in block.texts for line in wrap(f"- {text}", 100, subsequent_indent="  "))
+            case Fold() | Beside():
+                yield from _lines(block.blocks, where)
+            case Table():
+                rows = [*([block.header] if any(block.header) else []), *block.texts]
+                widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+                yield from [block.title] if block.title else []
+                yield from ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
 def shown(blocks: Iterable[Block], where: Where) -> list[Block]:

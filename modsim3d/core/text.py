@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from math import isfinite
 
@@ -21,11 +21,6 @@ def number_in(text: object) -> float:
     except ValueError:
         return math.nan
     return number if math.isfinite(number) else math.nan
-
-
-def key_table(title: str, rows: Mapping[str, str]) -> str:
-    """A table with a key and a value in each row, under a title."""
-    return column_table(title, (), list(rows.items()))
 
 
 def column_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -38,7 +38,7 @@ class Written:
         """Paths and remarks, in a line."""
         return f"<{type(self).__name__} {'; '.join([', '.join(map(str, self.paths)), *self.notes])}>"
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """The page, the picture or the film, above its path and the remarks."""
         path, kind = self.path, self.path.suffix.lower().removeprefix(".").replace("svg", "svg+xml")
         shown = ""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, read_only
-from modsim3d.core.text import column_table, counted, in_percent, listed
+from modsim3d.core.document import Document, Result, Table, Text, Where
+from modsim3d.core.text import counted, in_percent, listed
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.draws import BoxErrorLaw
 from modsim3d.detector.dropout import Dropout
@@ -68,7 +69,7 @@ class PerformanceState:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DetectorModel:
+class DetectorModel(Result):
     """Everything that a detector file says: what `load_detector` returns, and what a scene has as `detector`.
 
     Attributes:
@@ -96,18 +97,15 @@ class DetectorModel:
     performance: Performance = field(default_factory=Performance)
     operating_threshold: float | None = None
 
-    def __repr__(self) -> str:
-        """States and labels in a line."""
-        return f"<DetectorModel: {self.in_words()}>"
-
-    def _repr_html_(self) -> str:
-        """A notebook's table: for each state, how often each label is missed, and the share of false detections."""
+    def _document(self) -> Document:
+        """A table: for each state, how often each label is missed, and the share of false detections."""
         rows = [
             [state.name, *(in_percent(miss, 1) for miss in state.confusion[-1]), state.false_rate]
             for state in self.states
         ]
         header = ["state", *(f"{label}: missed" for label in self.labels), "false detections"]
-        return column_table(f"Detector: {self.in_words()}", header, rows)
+        words = self.in_words()
+        return Document("", [Text(words)], [Table(f"Detector: {words}", header, rows, where=Where.EVERYWHERE)])
 
     def in_words(self) -> str:
         """Its states and labels, such as `2 states (day, night), 1 label (Vessel)`."""

@@ -17,9 +17,9 @@ import orjson
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
+from modsim3d.core.document import Result
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import key_table
 from modsim3d.detector.file.reading import content_of, parse_detector
 from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
@@ -87,7 +87,7 @@ FORMAT, SUMMARY = 1, DETECT_FILE
 
 
 @dataclass(frozen=True, repr=False)
-class TruthResult:
+class TruthResult(Result):
     """Detections on a labelled video, from `detect_truth`.
 
     Attributes:
@@ -107,13 +107,7 @@ class TruthResult:
     notes: tuple[str, ...]
     files: tuple[Path, ...]
     seconds: float
-
-    def __repr__(self) -> str:
-        """Its folder and its counts, in a line."""
-        return f"<TruthResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
-
-    def _repr_html_(self) -> str:
-        return key_table(f"Detections {self.folder}", self._rows())
+    noun = "Detections"
 
     def _rows(self) -> dict[str, str]:
         counts = self.counts

@@ -2,12 +2,11 @@
 
 import difflib
 import reprlib
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Union, cast, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
@@ -102,22 +101,14 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def nearest_key(key: str, known: Collection[str]) -> str:
     """The hint of `nearest` for a key, or the known keys that others call like this; see `synonyms.yaml`."""
-    ours = [f"'{each}'" for each in _synonyms().get(_plain(str(key)), ()) if each.partition(".")[0] in known]
+    word, table = str(key).lower().replace("-", "_"), _synonyms().items()
+    ours = [f"'{each}'" for each, theirs in table if word in theirs and each.partition(".")[0] in known]
     return f"did you mean {' or '.join(ours)}?" if ours else nearest(key, known)
 
 
 @cache
 def _synonyms() -> dict[str, list[str]]:
-    """Our keys by what others call them."""
-    by_word = defaultdict[str, list[str]](list)
-    for key, theirs in yaml.safe_load(Path(__file__).with_name("synonyms.yaml").read_text(encoding="utf-8")).items():
-        for word in theirs:
-            by_word[_plain(word)].append(key)
-    return by_word
-
-
-def _plain(word: str) -> str:
-    return word.lower().replace("_", "").replace("-", "")
+    return cast(dict[str, list[str]], yaml.safe_load(Path(__file__).with_name("synonyms.yaml").read_text("utf-8")))
 
 
 def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:

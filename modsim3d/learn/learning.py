@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from modsim3d.core.document import Block
+from modsim3d.core.document import Block, Document, Result
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.reading import detector_text, parse_detector
@@ -32,7 +32,7 @@ Paths = StrPath | Sequence[StrPath]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LearnResult:
+class LearnResult(Result):
     """A detector that was learned, from `learn_detector`.
 
         learned = modsim3d.learn_detector(run="runs/first")
@@ -55,9 +55,8 @@ class LearnResult:
         warning = f" WARNING: {self.report.warning}." if self.report.warning else ""
         return f"<LearnResult: {self.detector.in_words()}; {lead(self.report)}{warning}>"
 
-    def _repr_html_(self) -> str:
-        """From how much it was learned, what to be careful about, and how well the detector detects."""
-        return document(self.report).notebook()
+    def _document(self) -> Document:
+        return document(self.report, "detector", self.sources.names, self.sections)
 
     @property
     def content(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import Overlaps, areas, corner_form, iou
-from modsim3d.core.document import Block, Document, Heading, Items, Table, Text
+from modsim3d.core.document import Block, Document, Heading, Items, Result, Table, Text, Where
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.chain import Detector, target_statistics
@@ -307,8 +307,8 @@ def _solved(figure: Callable[[float], float], wanted: float, low: float, high: f
     return (low + high) / 2
 
 
-@dataclass(frozen=True, eq=False)
-class ReportedDetector:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReportedDetector(Result):
     """A detector made from a test report, from `learn_from_figures`.
 
         made = modsim3d.learn_from_figures({"labels": ["boat"], "precision": 0.9, "recall": 0.8})
@@ -333,15 +333,17 @@ class ReportedDetector:
         """The detector, as `load_detector` would read it from its file."""
         return parse_detector(self.content, "detector of a report")
 
-    def document(self, name: str) -> Document:
+    def document(self, name: str = "detector") -> Document:
         """The figures that it gives back, what was assumed, and contradictions."""
         figures = [(key, "" if a is None else f"{a:.3f}", f"{b:.3f}") for key, (a, b) in self.figures.items()]
         blocks: list[Block] = [
-            Table("Figures", ("", "report", "simulated"), figures),
+            Table("Figures", ("", "report", "simulated"), figures, where=Where.EVERYWHERE),
             Heading("Assumed, since the report does not say"),
-            Items(self.assumed),
+            Items(self.assumed, Where.EVERYWHERE),
         ]
         return Document(name, [Text(f"{name}: a detector from the figures of {self.source[0]}.", "lead")], blocks)
+
+    _document = document
 
     def write(self, path: StrPath, *, overwrite: bool = False) -> Path:
         """Write the detector file, in which comments name all that was assumed, and return its path.

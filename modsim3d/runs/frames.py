@@ -14,8 +14,9 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form, iou
+from modsim3d.core.document import Document, Result, Table, Text, Where
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.text import column_table, counted, in_percent, listed
+from modsim3d.core.text import counted, in_percent, listed
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene
@@ -33,7 +34,7 @@ Columns = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrameTruth:
+class FrameTruth(Result):
     """Truth of one camera at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
 
     Attributes:
@@ -72,11 +73,7 @@ class FrameTruth:
         """Number of vessels."""
         return len(self.vessels)
 
-    def __repr__(self) -> str:
-        """The vessels, and how many are annotated and detected."""
-        return f"<FrameTruth: {self._in_words()}>"
-
-    def _repr_html_(self) -> str:
+    def _document(self) -> Document:
         rows = [
             (
                 self.vessels[i],
@@ -89,7 +86,7 @@ class FrameTruth:
             for i in range(len(self))
         ]
         header = ("vessel", "label", "box [px]", "visible", "annotated", "detected")
-        return column_table(f"Truth: {self._in_words()}", header, rows)
+        return Document("", [Text(self._in_words())], [Table("Truth", header, rows, where=Where.EVERYWHERE)])
 
     def _in_words(self) -> str:
         names = f" ({listed(self.vessels)})" if len(self) else ""
@@ -100,7 +97,7 @@ class FrameTruth:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrameDetections:
+class FrameDetections(Result):
     """The detector's output for one frame: m detections as arrays, in shuffled order.
 
     Attributes:
@@ -126,16 +123,12 @@ class FrameDetections:
         """Number of detections."""
         return len(self.labels)
 
-    def __repr__(self) -> str:
-        """Their number, and their kinds."""
-        return f"<FrameDetections: {self._in_words()}>"
-
-    def _repr_html_(self) -> str:
+    def _document(self) -> Document:
         vessels, boxes = [vessel or "–" for vessel in self.vessels], map(_box, self.boxes_px)
         confidence = [f"{value:.2f}" for value in self.confidence]
         rows = list(zip(self.labels, confidence, boxes, self.kinds, vessels, strict=True))
         header = ("label", "confidence", "box [px]", "kind", "vessel")
-        return column_table(f"Detections: {self._in_words()}", header, rows)
+        return Document("", [Text(self._in_words())], [Table("Detections", header, rows, where=Where.EVERYWHERE)])
 
     def _in_words(self) -> str:
         kinds = [f"{count} {kind}" for kind, count in Counter(self.kinds).items()]
@@ -181,7 +174,8 @@ class Frame:
     def _repr_html_(self) -> str | None:
         if find_spec("matplotlib") is not None:
             return None
-        return f"<p>{escape(self._in_words())}</p>{self.truth._repr_html_()}{self.detections._repr_html_()}"
+        tables = self.truth._document().notebook() + self.detections._document().notebook()
+        return f"<p>{escape(self._in_words())}</p>{tables}"
 
     def _repr_png_(self) -> bytes | None:
         """A notebook's picture; None without matplotlib."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from modsim3d.core.arrays import Array, Columns, Indices, Mask, run_starts
 from modsim3d.core.boxes import sizes
+from modsim3d.core.document import Result
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams
 from modsim3d.detector.box_error import BoxErrorSource
@@ -128,8 +129,8 @@ _STEP_PX, _STEP_RAD = 0.5, 1e-5
 _STEPS_AT_ONCE = 4096
 
 
-@dataclass(frozen=True, eq=False)
-class Located:
+@dataclass(frozen=True, eq=False, repr=False)
+class Located(Result):
     """n boxes in the world. NaN stands for what is not given.
 
     Attributes:

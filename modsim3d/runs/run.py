@@ -14,9 +14,9 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from modsim3d.core.boxes import Overlaps
+from modsim3d.core.document import Result
 from modsim3d.core.errors import InputError, ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import key_table
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.processes import WorkerCount, worker_count
 from modsim3d.runs.counts import Counts
@@ -36,7 +36,7 @@ Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True, repr=False)
-class RunResult:
+class RunResult(Result):
     """A finished run, from `run_scene` or `detect_run`; `modsim3d.open_run(result.folder)` reads what it has written.
 
     Attributes:
@@ -69,12 +69,7 @@ class RunResult:
             column = pq.read_table(path, columns=["iou"])["iou"]
         return Overlaps.of(column.drop_null().to_numpy())
 
-    def __repr__(self) -> str:
-        """Its place and its counts, in a line."""
-        return f"<RunResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
-
-    def _repr_html_(self) -> str:
-        return key_table(f"Run {self.folder}", self._rows())
+    noun = "Run"
 
     def _rows(self) -> dict[str, str]:
         counts = self.counts

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, positions
+from modsim3d.core.document import Result
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.runs.counts import Outcomes, outcomes
 from modsim3d.runs.files.tables import (
@@ -28,8 +29,8 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.labelled import IgnoredRegions
 
 
-@dataclass(frozen=True, eq=False)
-class RunRows:
+@dataclass(frozen=True, eq=False, repr=False)
+class RunRows(Result):
     """Rows of a run's tables. A frame is one camera at one step; its number is step × cameras + camera.
 
     Attributes:

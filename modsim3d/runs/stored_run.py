@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.core.document import Result
 from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import key_table, listed
+from modsim3d.core.text import listed
 from modsim3d.io.validation import nearest
 from modsim3d.runs.blocks import Block, frames_of
 from modsim3d.runs.files import run_file
@@ -27,7 +28,7 @@ from modsim3d.truth.record import Truth
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StoredRun:
+class StoredRun(Result):
     """A finished or an interrupted run, from `open_run`.
 
         run = modsim3d.open_run("runs/first")
@@ -52,13 +53,7 @@ class StoredRun:
     steps: int
     stored: StoredTables | None
     made_of: tuple[Path, ...] = ()
-
-    def __repr__(self) -> str:
-        """Its place and content, in a line."""
-        return f"<StoredRun {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
-
-    def _repr_html_(self) -> str:
-        return key_table(f"Run {self.folder}", self._rows())
+    noun = "Run"
 
     def _rows(self) -> dict[str, str]:
         scene = self.scene

@@ -14,7 +14,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.text import counted, key_table, listed
+from modsim3d.core.text import column_table, counted, listed
 from modsim3d.detector.model import DetectorModel
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore
@@ -65,7 +65,7 @@ def scene_table(scene: Scene) -> str:
         "truth": f"{scene.annotation.source}, mode {scene.annotation.mode}",
         "detector": scene.detector.in_words(),
     }
-    return key_table(f"Scene {scene.name}", rows)
+    return column_table(f"Scene {scene.name}", (), rows.items())
 
 
 def _vessels(scene: Scene) -> str:

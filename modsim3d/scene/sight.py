@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.document import Result
 from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
@@ -131,8 +132,8 @@ CAMERA_PREFIX = "camera#"
 """A vessel's ID never has a '#', so no vessel has the name of a camera's frame or of the base frame."""
 
 
-@dataclass(frozen=True, eq=False)
-class IdImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class IdImage(Result):
     """Image of who is in front at each pixel of a camera's image, drawn by OpenGL with a depth test.
 
     Attributes:
@@ -151,8 +152,8 @@ class IdImage:
         return [(number, int(counts[number])) for number in np.flatnonzero(counts).tolist() if number]
 
 
-@dataclass(frozen=True, eq=False)
-class Snapshot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Snapshot(Result):
     """A scene at one step: all its vessels and obstacles, and what each camera has before it at the one step."""
 
     vessels: tuple[Vessel, ...]

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
+from modsim3d.core.document import Document, Result
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.overwrite_guard import claimed
@@ -29,21 +30,17 @@ P = TypeVar("P", Path, Path | None)
 T = TypeVar("T", TrackSet, WorldTracks)
 
 
-class RunScores(ScoredTracks):
+class RunScores(Result, ScoredTracks):
     """Scores that say how well tracks follow the vessels of a run, from `score_run`.
 
     scores = modsim3d.score_run("runs/first", ["runs/sort", "runs/reference"])
     scores.trackers[0].scores.flat()["hota"], scores.conclusion, scores.write("runs/scores")
     """
 
-    def __repr__(self) -> str:
-        """The outcome in a sentence."""
-        return f"<RunScores {self.run.folder}: {self.conclusion}>"
-
-    def _repr_html_(self) -> str:
+    def _document(self) -> Document:
         from modsim3d.tracking.score_page import document  # pages take 0.1 s to import
 
-        return document(self).notebook()
+        return document(self)
 
     @cached_property
     def conclusion(self) -> str:

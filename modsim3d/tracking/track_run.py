@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from modsim3d.core.document import Result
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import key_table
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
 from modsim3d.runs.files.overwrite import read_of_run
@@ -33,7 +33,7 @@ class TrackCounts:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrackResult:
+class TrackResult(Result):
     """Tracks in a run, from `track_run`.
 
     Attributes:
@@ -58,13 +58,7 @@ class TrackResult:
     seconds: float
     frame_ms: dict[str, float]
     written: tuple[Path, ...]
-
-    def __repr__(self) -> str:
-        """Their place and number, in a line."""
-        return f"<TrackResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
-
-    def _repr_html_(self) -> str:
-        return key_table(f"Tracks {self.folder}", self._rows())
+    noun = "Tracks"
 
     def _rows(self) -> dict[str, str]:
         counts = self.counts

@@ -14,14 +14,15 @@ import pyarrow as pa
 
 from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask
 from modsim3d.core.boxes import centres, iou
+from modsim3d.core.document import Result
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
 from modsim3d.runs.files.tables import named, numbers
 from modsim3d.scene.scene import Scene
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks(Columns):
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Result, Columns):
     """The boxes of all tracks: k rows in order of frame and track.
 
     Attributes:
@@ -84,8 +85,8 @@ class Tracks(Columns):
         return np.asarray(identity, dtype=np.int64).reshape(-1)
 
 
-@dataclass(frozen=True, eq=False)
-class WorldTracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class WorldTracks(Result):
     """The estimates of all tracks: k rows in order of track and time."""
 
     name: str  # what tables call them
@@ -225,8 +226,8 @@ class Origin:
     versions: dict[str, str]  # of the packages that decide the tracks, by name
 
 
-@dataclass(frozen=True, eq=False)
-class TrackSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackSet(Result):
     """The tracks of one tracker in a run."""
 
     name: str  # what tables call it

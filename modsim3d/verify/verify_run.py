@@ -11,7 +11,7 @@ from typing import Any
 
 import orjson
 
-from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items, Table, Text, Tiles, Where
+from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items, Result, Table, Text, Tiles, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted, in_percent
@@ -262,7 +262,7 @@ def _table(verdicts: Sequence[parameters.TestResult], where: Where = Where.TEXT)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VerifiedRun:
+class VerifiedRun(Result):
     """Verification of a run against a detector file, from `verify_run`.
 
     verified = modsim3d.verify_run("runs/first")
@@ -297,13 +297,8 @@ class VerifiedRun:
         """The verdicts against the run."""
         return self.verification.failed
 
-    def __repr__(self) -> str:
-        """The outcome in a sentence."""
-        return f"<VerifiedRun {self.run.folder}: {conclusion(self.verification)}>"
-
-    def _repr_html_(self) -> str:
-        """The outcome, and a table of what was tested, with what fails first."""
-        return document(self).notebook()
+    def _document(self) -> Document:
+        return document(self)
 
     def write(self, folder: StrPath | None = None, *, overwrite: bool = False) -> tuple[Path, ...]:
         """Write `verify.json` and `verify.html`.

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from modsim3d.core.document import Document, Result, Table, Text, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, out_file
+from modsim3d.core.text import counted
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.camera_sequences import blind_at_first
 from modsim3d.scene.reading import load_scene
@@ -23,8 +25,8 @@ from modsim3d.view.map_marks import BirdsEye
 from modsim3d.view.map_picture import check_map, save_map
 
 
-@dataclass(frozen=True)
-class SceneCheck:
+@dataclass(frozen=True, repr=False)
+class SceneCheck(Result):
     """Meaning of a scene, from `check_scene`: cameras at the first step, kinds of vessels, a map if one was drawn, and
     sentences on what is probably not meant."""
 
@@ -32,6 +34,12 @@ class SceneCheck:
     vessel_types: list[VesselType]
     warnings: list[str]
     map: Path | None
+
+    def _document(self) -> Document:
+        found = counted(len(self.warnings), "warning") if self.warnings else "no problems found"
+        parts = ("vessels", self.vessel_types), ("camera", self.cameras), ("warning", self.warnings)
+        rows = [(name, str(each)) for name, part in parts for each in part]
+        return Document("", [Text(found, "lead", Where.EVERYWHERE)], [Table("", (), rows, where=Where.EVERYWHERE)])
 
 
 def check_scene(scene: Scene | StrPath, out: StrPath | None = None, *, overwrite: bool = False) -> SceneCheck:

@@ -8,7 +8,7 @@ import numpy as np
 import orjson
 from PIL import Image
 
-from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Table, Text, Tiles, Where
+from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Result, Table, Text, Tiles, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import in_percent
@@ -206,20 +206,15 @@ def describe_case(scene: Scene, case: VesselDifference) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TruthComparison(SourceComparison):
+class TruthComparison(Result, SourceComparison):
     """Sources of the truth of a scene side by side, from `check_truth`: the `figures`, and the files `written`."""
 
     scene: Scene
     renderer: str  # the OpenGL in use
     written: tuple[Path, ...]
 
-    def __repr__(self) -> str:
-        """The answer, in a line."""
-        return f"<TruthComparison {self.scene.name}: {_introduction(self.figures)[0].text}>"
-
-    def _repr_html_(self) -> str:
-        """The answer, and the figures."""
-        return document(self, self.scene).notebook()
+    def _document(self) -> Document:
+        return document(self, self.scene)
 
 
 def check_truth(

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.document import Block, Document, Heading, Items, Table, Text
+from modsim3d.core.document import Block, Document, Heading, Items, Result, Table, Text, Where
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import UNKNOWN, column_table, counted, percent_of
+from modsim3d.core.text import UNKNOWN, counted, percent_of
 from modsim3d.core.written import Written
 from modsim3d.detector.file.reading import find_detector, load_detector
 from modsim3d.io.overwrite_guard import check_free, locked_folder
@@ -289,7 +289,7 @@ def _shown(text: str) -> str:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class AisScene(Written):
+class AisScene(Result, Written):
     """A scene folder that was made from AIS, from `ais`; `traffic` has the vessels, and what became of the reports.
 
     scene = modsim3d.load_scene(modsim3d.ais("log.csv", "scenes/sound"))
@@ -297,9 +297,9 @@ class AisScene(Written):
 
     traffic: AisTraffic
 
-    def _repr_html_(self) -> str:
-        """The tables that the command prints."""
-        return "".join(column_table(title, (), rows) for title, rows in summary_rows(self.traffic))
+    def _document(self) -> Document:
+        tables = [Table(title, (), rows, where=Where.EVERYWHERE) for title, rows in summary_rows(self.traffic)]
+        return Document("", [Text(str(self.path))], tables)
 
 
 def ais(
