@@ -33,6 +33,8 @@ threadpool_limits(1, user_api="blas")
 # Typer prepares all commands anew for each call of its CliRunner, for a tenth of a second; they do not change.
 typer.testing._get_command = functools.cache(typer.main.get_command)
 
+os.fsync = lambda _: None  # no test cuts the power, and the disk would take milliseconds for each of ten thousand files
+
 self_check.SEEDS = 2  # what is learned is compared with real results over fewer seeds than a user's
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,8 +21,11 @@ import threading
 from pathlib import Path
 from typing import NoReturn
 
+from pydantic import BaseModel
+
 import modsim3d
 from benchmarks.faults.commands import prepare
+from modsim3d.io.validation import Strict
 from modsim3d.render.context import choose_backend, prepare_environment
 
 LIBRARIES = (
@@ -56,7 +59,10 @@ def serve(folder: Path) -> None:
     prepare_environment(backend)
     for name in (*LIBRARIES, "OpenGL.EGL" if backend == "egl" else "OpenGL.osmesa", *modules()):
         __import__(name)
-    sys.modules["modsim3d.learn.self_check"].SEEDS = 2  # as in the process of the tests
+    sys.modules["modsim3d.learn.self_check"].SEEDS = 2  # as in the process of the tests, and so is
+    os.fsync = lambda _: None
+    for model in models(Strict):
+        model.model_rebuild()
     prepare()  # once more, because it makes sure that no library has started a thread
     gc.freeze()  # what is imported stays, and no command looks through it
     with socket.socket(socket.AF_UNIX) as listening:
@@ -83,6 +89,11 @@ def modules() -> list[str]:
     package = Path(modsim3d.__file__).parent
     names = [path.relative_to(package.parent).with_suffix("").parts for path in package.rglob("*.py")]
     return sorted(".".join(name) for name in names if not name[-1].startswith("__"))
+
+
+def models(of: type[BaseModel]) -> list[type[BaseModel]]:
+    """A model and all that are derived from it."""
+    return [of, *(each for derived in of.__subclasses__() for each in models(derived))]
 
 
 def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
