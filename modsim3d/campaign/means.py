@@ -18,13 +18,11 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import half_widths
 from modsim3d.core.text import counted, listed, three_digits_with_interval
 from modsim3d.io.validation import nearest, shown
-from modsim3d.tracking.score_text import COLUMNS
 
 LEVEL = 0.95
 USUAL = ("hota", "deta", "assa", "idf1", "id_switches")
 USUAL_IN_WORLD = ("rmse_m", "gospa_m", "followed_share", "world_id_switches", "established_m")
 """Scores of a table unless others are asked for."""
-_NAMES = {key: name.partition(",")[0] for name, key, _ in COLUMNS}
 TRACKER, SEED = "tracker", "traffic_seed"
 
 
@@ -129,13 +127,6 @@ def _check(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> None:
 
 
 CRASHED_RUNS = "crashed runs"
-
-
-def score_name(column: str) -> str:
-    """A score as a table names it, from its column in the results."""
-    part, _, key = column.rpartition(".")
-    group, _, name = part.partition(".")
-    return _NAMES.get(key, key) + (f" in {group} {name}" if group else "")
 
 
 def mean_table(

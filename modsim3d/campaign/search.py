@@ -17,11 +17,13 @@ from modsim3d.campaign import search_folder
 from modsim3d.campaign.folder import CampaignFolder, check_ended, locked_campaign, planned, remove_done
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.running import Dispatch, Progress, read_back, write_log
+from modsim3d.campaign.verdicts.wording import score_name
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import CRASHED, DONE
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, with_cache
 from modsim3d.campaign.workers import Engine
+from modsim3d.core.text import three_digits
 
 # ---- What a search found ----
 
@@ -61,8 +63,12 @@ def sentence(folder: CampaignFolder, table: pa.Table) -> str:
         status: pc.sum(pc.equal(table["status"], status)).as_py() or 0 for status in (CRASHED, search_folder.REFUSED)
     }
     worst = [each for each in findings(folder, table, 1) if each.error is None]
-    found = f"{word} {score} {worst[0].value:.4g} in trial {worst[0].number}" if worst else f"no trial has a {score}"
-    said = f"{len(table)} of {search.budget} trials: {found}"
+    found = (
+        f"{word} {score_name(score)} {three_digits(worst[0].value)} in trial {worst[0].number}"
+        if worst
+        else f"no trial has a {score_name(score)}"
+    )
+    said = f"{len(table):,} of {search.budget:,} trials: {found}"
     if counts[CRASHED]:
         said += f"; {counts[CRASHED]} crashed"
     if counts[search_folder.REFUSED]:

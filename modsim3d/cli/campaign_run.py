@@ -16,6 +16,7 @@ from modsim3d.cli.shared import argument, option
 from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_blocks, print_prose, print_table
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import three_digits
 
 if TYPE_CHECKING:
     from modsim3d.campaign.done_rows import NeededSeeds
@@ -184,13 +185,15 @@ def _conclusion(result: CampaignResult) -> str:
 
 
 def _print_search(result: SearchResult) -> None:
+    from modsim3d.campaign.plan import value_text
+
     console = open_console()
     shared.print_line(console, "")
     print_prose(console, str(result), "bold")
     for finding in result.findings:
         shared.print_line(console, "")
-        values = ", ".join(f"{key} {value}" for key, value in finding.values.items())
-        said = finding.error if finding.value is None else f"{finding.value:.4g}"
+        values = ", ".join(f"{key} {value_text(value)}" for key, value in finding.values.items())
+        said = finding.error if finding.value is None else three_digits(finding.value)
         print_prose(console, f"trial {finding.number}: {said}; traffic seed {finding.traffic_seed}, {values}")
         shared.print_line(console, f"  {finding.again}", "dim")
     shared.print_path(console, "search", result.folder.path)
@@ -274,8 +277,9 @@ def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | No
 
 def _needed_row(plan: Plan, each: NeededSeeds) -> tuple[str, ...]:
     from modsim3d.campaign.plan import values_text
+    from modsim3d.campaign.verdicts.wording import with_name
     from modsim3d.core.text import UNKNOWN
 
     values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values)
     seeds = UNKNOWN if each.seeds is None else f"{each.seeds:,}"
-    return (each.text, each.tracker or "all", values, seeds, each.why)
+    return (with_name(each.text), each.tracker or "all", values, seeds, each.why)

@@ -116,6 +116,7 @@ def campaign_table_command(
     from modsim3d.campaign.campaign import rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
     from modsim3d.campaign.means import mean_rows, mean_table, usual_keys, usual_scores
+    from modsim3d.campaign.verdicts.wording import score_name
     from modsim3d.io.overwrite_guard import claimed
 
     runs = RUN in (by or ())
@@ -135,7 +136,7 @@ def campaign_table_command(
         if out is not None:
             _write(out, table if runs else flat_table(rows))
     if not runs:
-        print_blocks(open_console(), [mean_table(rows)])
+        print_blocks(open_console(), [mean_table(rows, names=score_name)])
     shared.print_written(open_console(), paths)
     say_json(
         {

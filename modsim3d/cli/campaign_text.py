@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modsim3d.cli.terminal import open_console, remark
-from modsim3d.core.text import counted, listed, three_digits
+from modsim3d.core.text import counted, listed, three_digits, with_minus
 from modsim3d.io.validation import shown
 
 if TYPE_CHECKING:
@@ -98,7 +98,9 @@ def _range(values: Range) -> str:
     if values.choices is not None:
         return f"one of {listed([_plain(value) for value in values.choices])}"
     kinds = [kind for kind in ("whole" * values.whole, "log scale" * (values.scale == "log")) if kind]
-    return f"{values.low:g} to {values.high:g}" + (f" ({', '.join(kinds)})" if kinds else "")
+    return f"{with_minus(f'{values.low:g}')} to {with_minus(f'{values.high:g}')}" + (
+        f" ({', '.join(kinds)})" if kinds else ""
+    )
 
 
 def _plain(value: Any) -> str:
@@ -114,33 +116,37 @@ def _seeds(keys: CampaignKeys) -> str:
 
 
 def _search(keys: CampaignKeys) -> str:
+    from modsim3d.campaign.verdicts.wording import score_name
+
     search = keys.search
     assert search is not None
-    goal = f"lowest {search.minimise}" if search.minimise else f"highest {search.maximise}"
+    goal = f"lowest {score_name(search.minimise)}" if search.minimise else f"highest {score_name(str(search.maximise))}"
     over = "; ".join(f"{key} {_range(each)}" for key, each in search.over.items())
     return f"the {goal} in {search.budget:,} trials, over {over}"
 
 
 def requirement_in_words(requirement: Requirement) -> str:
     """A requirement of a campaign file in words."""
-    from modsim3d.campaign.verdicts.wording import percent, requirement_text
+    from modsim3d.campaign.verdicts.wording import percent, requirement_text, with_name
 
     where = ", ".join(
         f"{key} {' or '.join(map(_plain, value)) if isinstance(value, list) else _plain(value)}"
         for key, value in requirement.where.items()
     )
+    named = with_name(requirement_text(requirement))
     if requirement.of_time and requirement.share is None:
-        return f"{requirement_text(requirement)} in every run{f', where {where}' if where else ''} (not repeatable)"
-    text = requirement_text(requirement) if requirement.share is not None else f"mean {requirement_text(requirement)}"
+        return f"{named} in every run{f', where {where}' if where else ''} (not repeatable)"
+    text = named if requirement.share is not None else f"mean {named}"
     return f"{text}{f', where {where}' if where else ''} ({percent(requirement.confidence)} confidence)"
 
 
 def about_text(verdict: Verdict) -> str:
     """Subject of a verdict, in a few words."""
     from modsim3d.campaign.plan import values_text
+    from modsim3d.campaign.verdicts.wording import with_name
 
     about = ", ".join(filter(None, [verdict.tracker, values_text(verdict.values) if verdict.values else ""]))
-    return f"{verdict.text} ({about})"
+    return f"{with_name(verdict.text)} ({about})"
 
 
 def time_left_text(seconds: float | None) -> str:

@@ -66,8 +66,8 @@ def mode_in_words(scene: Scene) -> str:
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     """Summary of a run; each share is of a number that stands in another row."""
     counts, cameras = result.counts, len(scene.cameras)
-    many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {mode_in_words(scene)}"
-    rows = [("frames", str(counts.frames), many), *vessel_rows(counts), *detection_rows(counts)]
+    many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps:,} steps, mode {mode_in_words(scene)}"
+    rows = [("frames", f"{counts.frames:,}", many), *vessel_rows(counts), *detection_rows(counts)]
     if counts.true_detections:
         iou = result.iou
         rows.append(("mean IoU", f"{iou.mean:.3f}", f"of true detections with their vessels; median {iou.median:.3f}"))
@@ -85,23 +85,23 @@ def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
     if not checked.frames:
         none = "annotation.check: off" if annotation.check == "off" else "no camera took a frame"
         return [("cross-checked", "nothing", none)]
-    frames = f"{checked.frames} frame{'s' * (checked.frames > 1)}"
+    frames = f"{checked.frames:,} frame{'s' * (checked.frames > 1)}"
     if not checked.vessels:
         return [("cross-checked", frames, "no vessel in them" if checked.frames > 1 else "no vessel in it")]
     ties = f" but for {checked.tie_pixels} tie{'s' * (checked.tie_pixels > 1)}" if checked.tie_pixels else ""
     boxes = f"boxes within {checked.largest_box_px:.2f} px of corner projection"
     tips = f", {checked.sharp_tips} sharp tip{'s' * (checked.sharp_tips > 1)}" if checked.sharp_tips else ""
-    meaning = f"{checked.vessels} vessel{'s' * (checked.vessels > 1)}: pixels equal{ties}, {boxes}{tips}"
+    meaning = f"{checked.vessels:,} vessel{'s' * (checked.vessels > 1)}: pixels equal{ties}, {boxes}{tips}"
     return [("cross-checked", frames, meaning)]
 
 
 def vessel_rows(counts: Counts) -> list[Row]:
     """Counts of vessels in the images."""
     return [
-        ("vessels seen", str(counts.seen), "summed over frames"),
-        ("partly hidden", str(counts.partly_hidden), share(counts.partly_hidden, counts.seen, "seen")),
-        ("fully hidden", str(counts.fully_hidden), "vessels, beside those seen"),
-        ("annotated", str(counts.annotated), "vessels given to the detector"),
+        ("vessels seen", f"{counts.seen:,}", "summed over frames"),
+        ("partly hidden", f"{counts.partly_hidden:,}", share(counts.partly_hidden, counts.seen, "seen")),
+        ("fully hidden", f"{counts.fully_hidden:,}", "vessels, beside those seen"),
+        ("annotated", f"{counts.annotated:,}", "vessels given to the detector"),
     ]
 
 
@@ -116,11 +116,11 @@ def detection_rows(counts: Counts) -> list[Row]:
         ("box resampled", counts.redrawn),
     ]
     return [
-        ("detected", str(counts.detected), share(counts.detected, counts.annotated, "annotated")),
-        ("missed", str(counts.missed), share(counts.missed, counts.annotated, "annotated")),
-        ("detections", str(every), f"in the files: {true} true + {counts.false_positives} false"),
-        ("false positives", str(counts.false_positives), share(counts.false_positives, every, "detections")),
-        *((name, str(count), share(count, true, "true detections")) for name, count in of_true),
+        ("detected", f"{counts.detected:,}", share(counts.detected, counts.annotated, "annotated")),
+        ("missed", f"{counts.missed:,}", share(counts.missed, counts.annotated, "annotated")),
+        ("detections", f"{every:,}", f"in the files: {true:,} true + {counts.false_positives:,} false"),
+        ("false positives", f"{counts.false_positives:,}", share(counts.false_positives, every, "detections")),
+        *((name, f"{count:,}", share(count, true, "true detections")) for name, count in of_true),
     ]
 
 
@@ -132,16 +132,16 @@ def camera_rows(result: RunResult) -> list[tuple[str, ...]]:
 def camera_row(name: str, counts: Counts) -> tuple[str, ...]:
     """The counts of a camera, under `CAMERA_HEADER`."""
     found = counts.detected, counts.false_positives, counts.mislabelled, counts.below_half_iou, counts.off_vessel
-    return (name, *map(str, (counts.frames, counts.annotated, *found)))
+    return (name, *(f"{each:,}" for each in (counts.frames, counts.annotated, *found)))
 
 
 def _time_rows(result: RunResult) -> list[Row]:
     per_frame_ms = 1e3 * result.seconds / max(result.counts.frames, 1)
     rows = [("time per frame", f"{per_frame_ms:.2f} ms", f"{result.seconds:.1f} s in all")]
     if result.resumed_steps:
-        rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
+        rows.append(("resumed", f"{result.resumed_steps:,}", "steps taken from the interrupted run"))
     if result.damaged_blocks:
-        rows.append(("damaged", str(result.damaged_blocks), "blocks of the interrupted run, made anew"))
+        rows.append(("damaged", f"{result.damaged_blocks:,}", "blocks of the interrupted run, made anew"))
     return rows
 
 
@@ -149,9 +149,9 @@ def gate_rows(counts: Counts) -> list[Row]:
     """Counts of gates and merges, if they did anything."""
     rows: list[Row] = []
     if gated := counts.missed_by_gate:
-        rows.append(("gated", str(gated), share(gated, counts.missed, "missed")))
+        rows.append(("gated", f"{gated:,}", share(gated, counts.missed, "missed")))
     if merged := counts.merged:
-        rows.append(("merged", str(merged), share(merged, counts.true_detections, "true detections")))
+        rows.append(("merged", f"{merged:,}", share(merged, counts.true_detections, "true detections")))
     return rows
 
 
@@ -186,7 +186,7 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
     ]
     if counts.off_by_curvature:
         warnings.append(
-            f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
+            f"the sea is flat: {counts.off_by_curvature:,} of {counts.vessel_frames:,} vessels in images are drawn too "
             f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved"
         )
     return warnings + iou_warnings(counts)
@@ -197,11 +197,11 @@ def iou_warnings(counts: Counts) -> list[str]:
     if counts.below_half_iou <= WARNING_SHARE * counts.true_detections:
         return []
     return [
-        f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their vessel: an "
-        "evaluation by IoU counts each as a miss and a false positive"
+        f"{counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with their "
+        "vessel: an evaluation by IoU counts each as a miss and a false positive"
     ]
 
 
 def share(part: int, whole: int, of: str) -> str:
     """A share in words, such as `of 20 seen (5.0 %)`; empty of nothing."""
-    return f"of {whole} {of} ({in_percent(part / whole, 1)})" if whole else ""
+    return f"of {whole:,} {of} ({in_percent(part / whole, 1)})" if whole else ""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from modsim3d.cli.terminal import is_verbose, visible, wrapped
 from modsim3d.core.document import Beside, Block, Document, Fold, Heading, Items, Style, Table, Text, Where, shown
-from modsim3d.core.text import is_numeric
+from modsim3d.core.text import is_numeric, with_minus
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -221,7 +221,7 @@ def _print_document_table(console: Console, table: Table) -> None:
     if table.about:
         print_prose(console, table.about, "dim")
     whole = list(zip(*table.texts, strict=True))
-    columns = [column for column in whole if any(column)]
+    columns = [[*map(with_minus, column)] for column in whole if any(column)]
     header = [name for name, column in zip(table.header, whole, strict=False) if any(column)]
     rows = list(zip(*columns, strict=True))
     print_table(

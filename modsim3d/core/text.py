@@ -57,6 +57,11 @@ def is_number(cell: str) -> bool:
     return len(re.findall(r"[^\W\d_]{2,}", cell)) <= _MAX_WORDS
 
 
+def with_minus(cell: str) -> str:
+    """A cell of a table with the minus sign in place of the hyphen before its numbers."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", cell) if is_number(cell) else cell
+
+
 def is_numeric(column: Sequence[str]) -> bool:
     """Whether at least half of the known cells of a column are numbers."""
     known = [cell for cell in column if cell not in (UNKNOWN, "")]
@@ -68,6 +73,13 @@ def number(value: float | None, decimals: int = 3) -> str:
     if value is None or value != value:
         return UNKNOWN
     return f"{value:,.{decimals}f}".replace("-", "−").replace("inf", "∞")
+
+
+def significant(value: float, digits: int = 4) -> str:
+    """A number with so many digits, a whole one as it is."""
+    if not isfinite(value) or float(value).is_integer():
+        return number(value, 0)
+    return f"{value:#.{digits}g}".rstrip(".").replace("-", "−")
 
 
 def with_interval(value: float | None, low: float | None, high: float | None, decimals: int = 3) -> str:

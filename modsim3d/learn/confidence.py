@@ -44,7 +44,7 @@ def choose_slopes(
     path = f"states.{state}.confidence"
     if "true" not in samples or len(samples["true"]) < SLOPE_NEEDS:
         count = len(samples["true"]) if "true" in samples else 0
-        notes.append(f"{path}: no slopes; had {count} true detections of different confidence, needs {SLOPE_NEEDS}")
+        notes.append(f"{path}: no slopes; had {count:,} true detections of different confidence, needs {SLOPE_NEEDS}")
         return None
     visibility = _why_not_visibility(samples["true"])
     size = "all boxes have one size" if np.ptp(samples["true"].log_size) < _EQUAL else ""
@@ -87,7 +87,7 @@ def _significant(
         key = form.names[weakest]
         below = ", and only slopes above 0 are simulated" if strength[weakest] <= -SIGNIFICANT else ""
         notes.append(
-            f"{path}.{key}: 0; {strength[weakest]:.1f} standard errors above 0 in {len(samples['true'])} true "
+            f"{path}.{key}: 0; {strength[weakest]:.1f} standard errors above 0 in {len(samples['true']):,} true "
             f"detections, needs {SIGNIFICANT}{below}"
         )
         form = replace(form, **{"visibility" if key == "visibility_slope" else "size": False})

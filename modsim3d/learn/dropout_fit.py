@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.text import in_percent
 from modsim3d.detector.dropout import WHOLLY_VISIBLE
 from modsim3d.learn import lags
 from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, digits, nested
@@ -267,8 +268,8 @@ def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) ->
     if found < (0.5 + expected) / 2:
         return True
     notes.append(
-        f"persistence.score: none; detections before a miss are surer than {found:.0%} of all, with a score than "
-        f"{expected:.0%}"
+        f"persistence.score: none; detections before a miss are surer than {in_percent(found)} of all, with a score "
+        f"than {in_percent(expected)}"
     )
     return False
 

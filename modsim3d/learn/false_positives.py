@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import centres, sizes
+from modsim3d.core.text import in_percent
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, columns_of_one, digits, nested, ratio, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 from modsim3d.learn.persistent_false_positives import Lasting, NotLasting, find_lasting
@@ -133,7 +134,7 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
     false = len(observed.false_sightings)
     sized = false >= FALSE_NEEDED and "sizes" not in observed.without
     if false < FALSE_NEEDED:
-        notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
+        notes.append(f"false_positives.size: that of vessels; had {false:,} false detections, needs {FALSE_NEEDED}")
     chosen = _likelier(observed, notes) if model == "auto" else model
     lasting: Lasting | NotLasting = NotLasting("left out")
     if "lasting" not in observed.without:
@@ -162,12 +163,12 @@ def _placing(observed: Observed, worth: tuple[float, float], notes: list[str]) -
         notes.append(f"{where} {uniform}; the size of some images is not known")
         return "uniform"
     if false < FALSE_NEEDED:
-        notes.append(f"{where} {uniform}; had {false} false detections, needs {FALSE_NEEDED}")
+        notes.append(f"{where} {uniform}; had {false:,} false detections, needs {FALSE_NEEDED}")
         return "uniform"
     if not known:
         said = "the horizon of some images is not known (--horizon)"
         if false < needed:
-            said = f"{said}, and a map needs {needed} false detections, had {false}"
+            said = f"{said}, and a map needs {needed:,} false detections, had {false:,}"
             notes.append(f"{where} {uniform}; {said}")
             return "uniform"
         notes.append(f"{where} a map; {said}")
@@ -175,7 +176,8 @@ def _placing(observed: Observed, worth: tuple[float, float], notes: list[str]) -
     placing, gain = PlaceFit(sightings, *worth).choose()
     deep = np.quantile(sightings.depth_px, 0.9)
     above = float((sightings.depth_px < 0).mean())
-    lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
+    lie = f"{in_percent(above, 1)} of {false:,} false detections lie above the horizon"
+    lie += f", and 90 % less than {deep:.3g} px below it"
     if placing == "uniform":
         notes.append(f"{where} {uniform}; no other is clearly likelier; {lie}")
     else:

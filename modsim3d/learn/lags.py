@@ -174,13 +174,13 @@ def vessel_noise(table: LagTable, resampling: Resampling, latent: Callable[[Arra
 def why_none(table: LagTable) -> str:
     """Reason why no share that things keep is learned; empty if one is."""
     if table.things < THINGS_NEEDED:
-        return f"had {table.things} things with times and identities, needs {THINGS_NEEDED}"
+        return f"had {table.things:,} things with times and identities, needs {THINGS_NEEDED}"
     if len(table.lag_s) < 2 * _LONG or not np.any(table.same > 0):
         return "nothing is seen often enough"
     level = table.fit(Resampling(np.ones((1, int(table.image.max()) + 1)), np.zeros(0, dtype=np.int64))).levels[0]
     errors = level / max(float(jackknife(table.without_each().levels)), 1e-12)
     if errors < SIGNIFICANT:
-        return f"{errors:.1f} standard errors from 0 with {table.things} things, needs {SIGNIFICANT}"
+        return f"{errors:.1f} standard errors from 0 with {table.things:,} things, needs {SIGNIFICANT}"
     return ""
 
 

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError
 
 from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import in_percent
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, fits, image_pairs, match, overlap, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
@@ -211,9 +212,9 @@ def _remarks(observed: Observed) -> Iterator[str]:
     for step, where in ((1, "after"), (-1, "before")):
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             yield (
-                f"{(shift == step).mean():.0%} of the matches have the label {where} that of the annotation in the "
-                "list of categories: do results count from another number? In MOT, --labels can give the numbers of "
-                f"both files one name; in COCO, --category-offset {-step} moves results"
+                f"{in_percent((shift == step).mean())} of the matches have the label {where} that of the annotation in "
+                "the list of categories: do results count from another number? In MOT, --labels can give the numbers "
+                f"of both files one name; in COCO, --category-offset {-step} moves results"
             )
 
 

@@ -416,7 +416,7 @@ def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str
             shown[name] = least
             notes += remark
         elif seen >= needed:
-            why = f"{strength:.1f} standard errors from 0 in {len(above.image)} cases, needs {SIGNIFICANT}"
+            why = f"{strength:.1f} standard errors from 0 in {len(above.image):,} cases, needs {SIGNIFICANT}"
             notes.append(f"false_positives.{name}: none; {why}")
         else:
             by_chance = f", of which {chance:.1f} by chance" if chance >= 0.05 else ""

@@ -232,7 +232,7 @@ def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
     if rarer >= needed:
         return tuple(chosen)
     rare = "misses" if misses == rarer else "finds"
-    notes.append(f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}")
+    notes.append(f"dropout: as in the confusion matrix; had {rarer:,} {rare}, needs {needed}")
     return ()
 
 
@@ -261,7 +261,7 @@ def _significant(
             return own_effects(observed, *_in_units(observed, effects, fit, inflation, notes), inflation, notes)
         notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
-            f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
+            f"{len(observed.rows):,} annotations, needs {SIGNIFICANT}"
         )
         effects = effects[:weakest] + effects[weakest + 1 :]
     return (), None

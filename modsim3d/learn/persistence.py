@@ -6,6 +6,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Columns, Indices
+from modsim3d.core.text import in_percent, number
 from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.learn.bootstrap import Column, Resampling, widened
 
@@ -92,7 +93,8 @@ class Correlation:
         """Reason why noise is not said to persist."""
         where = "lies below 0, and only noise that persists is simulated" if self.high < 0 else "includes 0"
         pairs = "1 consecutive pair" if self.pairs == 1 else f"{self.pairs:,} consecutive pairs"
-        return f"the {LEVEL:.1%} interval of the correlation in {pairs}, {self.low:.2f} to {self.high:.2f}, {where}"
+        ends = f"{number(self.low, 2)} to {number(self.high, 2)}"
+        return f"the {in_percent(LEVEL, 1)} interval of the correlation in {pairs}, {ends}, {where}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Items, Table, Text, Tiles, Where
-from modsim3d.core.text import UNKNOWN, counted, in_percent, with_interval
+from modsim3d.core.text import UNKNOWN, counted, in_percent, number, significant, with_interval
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.box_errors import estimate
@@ -189,8 +189,10 @@ def _parameters(report: LearnReport) -> Table:
         for place in np.ndindex(*each.estimate.shape):
             value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
             told = np.isfinite([value, low, high]).all()
-            interval = f"{low:.4g} to {high:.4g}" if told else "not known" if np.isnan(low) else UNKNOWN
-            rows.append((each.key.at(place), f"{value:.4g}" if np.isfinite(value) else UNKNOWN, interval))
+            interval = (
+                f"{significant(low)} to {significant(high)}" if told else "not known" if np.isnan(low) else UNKNOWN
+            )
+            rows.append((each.key.at(place), significant(value) if np.isfinite(value) else UNKNOWN, interval))
     header = ("number", "learned", f"{in_percent(report.level)} interval")
     return Table("Numbers of the detector file", header, tuple(rows))
 
@@ -353,7 +355,11 @@ def _reality(report: LearnReport) -> list[Block]:
     """Real and simulated numbers where the detector was not learned."""
     rows = () if report.check is None else report.check.comparisons
     cells = [
-        (each.name, f"{each.real:.3g}", f"{each.simulated:.3g}", f"{each.spread:.2g}", f"{each.p_value:.2g}")
+        (
+            each.name,
+            *(number(value, 4) for value in (each.real, each.simulated, each.spread)),
+            number(each.p_value, 4) if each.p_value >= 0.0001 else "< 0.0001",
+        )
         for each in rows
     ]
     said = (

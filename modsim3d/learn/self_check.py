@@ -13,7 +13,7 @@ from scipy import special
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, run_starts
 from modsim3d.core.boxes import centres, iou, sizes
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.text import listed
+from modsim3d.core.text import listed, significant
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel, Performance
@@ -83,7 +83,10 @@ class SelfCheck:
             f"Learned from one half of the data and simulated {SEEDS} times over the other, and the other way round, "
             f"{len(differing)} of {len(self.comparisons)} numbers differ from the real results"
         )
-        some = [f"{each.name} {each.real:.3g} in place of {each.simulated:.3g}" for each in differing]
+        some = [
+            f"{each.name} {significant(each.real, 3)} in place of {significant(each.simulated, 3)}"
+            for each in differing
+        ]
         return f"{checked}{': ' if some else ''}{listed(some) if some else ''}"
 
 
@@ -209,9 +212,9 @@ def _by_range(observed: Observed, whole: Observed, found: Mask) -> Counts:
         low, high = (float(f"{edge:.2g}") for edge in np.quantile(every, [1 / 3, 2 / 3]))
         ours = values[observed.rows]
         for name, chosen in (
-            (f"share found, below {low:g} {unit}", ours < low),
-            (f"share found, {low:g} to {high:g} {unit}", (ours >= low) & (ours < high)),
-            (f"share found, above {high:g} {unit}", ours >= high),
+            (f"share found, below {low:,g} {unit}", ours < low),
+            (f"share found, {low:,g} to {high:,g} {unit}", (ours >= low) & (ours < high)),
+            (f"share found, above {high:,g} {unit}", ours >= high),
         ):
             counts[name] = _mean(found[chosen])
     visible = observed.labelled.annotations.visible_fraction[observed.rows]

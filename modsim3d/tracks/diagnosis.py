@@ -10,6 +10,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges
 from modsim3d.core.boxes import centre_form, corner_form, from_top_left, sizes
+from modsim3d.core.text import in_percent
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM
 
 
@@ -168,7 +169,7 @@ def misreading(
             agreed = agreed or truth is None or reading.factor == _MUCH or _agrees(truth, rows, reading)
     if meant is None or not agreed:
         return None
-    fits = f"{best:.2%} of the image's diagonal from {known.word} instead of {now:.2%}"
+    fits = f"{in_percent(best, 2)} of the image's diagonal from {known.word} instead of {in_percent(now, 2)}"
     slight = meant.factor == _CLOSE
     if meant.factor == _FRAME and truth is None:  # where boats move alike, a bias of all boxes looks the same
         boxes_px = rows.form.boxes_px(rows.numbers)
@@ -200,7 +201,7 @@ def implausible(rows: BoxRows) -> Misreading | None:
         return None
     if beyond.mean() <= _MAX_BEYOND:
         return _inside(rows, size, alone)
-    found = f"{beyond.mean():.0%} of them reach beyond their images by more than {_BEYOND_PX:g} px"
+    found = f"{in_percent(beyond.mean())} of them reach beyond their images by more than {_BEYOND_PX:g} px"
     outside = np.asarray(((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1))
     edges_px = np.hstack([np.zeros_like(image_px), image_px])
     for reading in _form_readings(rows):
@@ -214,7 +215,8 @@ def implausible(rows: BoxRows) -> Misreading | None:
     reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
     reached = f"the first is of {size} px, and boxes reach from {reach}"
     if outside.mean() > _MAX_BEYOND:
-        told = f"{outside.mean():.0%} of the boxes lie outside their images: {reached}; is the size of the images right"
+        told = f"{in_percent(outside.mean())} of the boxes lie outside their images: {reached}"
+        told += "; is the size of the images right"
         return Misreading(f"{told} (--image-size or seqinfo.ini in MOT, width and height in COCO)?", False)
     return Misreading(f"boxes are not cut at the edge of the image: {found}; {reached}", True)
 

@@ -14,7 +14,7 @@ import orjson
 from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items, Result, Table, Text, Tiles, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import counted, in_percent
+from modsim3d.core.text import counted, in_percent, significant
 from modsim3d.detector.file.reading import find_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.atomic_write import write_files
@@ -41,15 +41,15 @@ HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict
 def row_of(verdict: parameters.TestResult) -> tuple[str, ...]:
     """A verdict as cells under `HEADER`."""
     parameter = verdict.parameter
-    asked, promised = _number(verdict.asked) + (f" {parameter.unit}" if parameter.unit else ""), parameter.promised
+    asked, promised = significant(verdict.asked) + (f" {parameter.unit}" if parameter.unit else ""), parameter.promised
     if verdict.measured is None or verdict.interval is None:
         return parameter.name, asked if math.isfinite(verdict.asked) else "–", "–", "–", "–", verdict.verdict
     if isinstance(parameter.measure, Exact):
         wrong = "{} of {} wrong".format(*_counts(parameter.measure))
         return parameter.name, "always" if parameter.asked is None else asked, wrong, "exact", "once", verdict.verdict
-    asked = asked if promised is None else f"{_number(promised)}, by rule {asked}"
-    interval = " … ".join(map(_number, verdict.interval))
-    return parameter.name, asked, _number(verdict.measured), interval, _noticed(verdict), verdict.verdict
+    asked = asked if promised is None else f"{significant(promised)}, by rule {asked}"
+    interval = " … ".join(map(significant, verdict.interval))
+    return parameter.name, asked, significant(verdict.measured), interval, _noticed(verdict), verdict.verdict
 
 
 def named_notes(verification: Verification) -> list[tuple[str, str]]:
@@ -59,9 +59,9 @@ def named_notes(verification: Verification) -> list[tuple[str, str]]:
         parameter = verdict.parameter
         if verdict.verdict == FALLS_SHORT and parameter.promised is not None:
             short = (
-                f"asked for is {_number(parameter.promised)}; the rule of eq. 7.35 gives {_number(verdict.asked)} on "
-                f"this run, {_number(parameter.promised - verdict.asked)} short of it; measured "
-                f"{_number(verdict.measured or 0.0)}"
+                f"asked for is {significant(parameter.promised)}; the rule of eq. 7.35 gives "
+                f"{significant(verdict.asked)} on this run, {significant(parameter.promised - verdict.asked)} short of "
+                f"it; measured {significant(verdict.measured or 0.0)}"
             )
             notes.append((parameter.name, short))
         elif parameter.note and verdict.verdict != FALLS_SHORT:
@@ -78,7 +78,7 @@ def conclusion(verification: Verification) -> str:
         also = f"; {short} obey the thesis's rule and fall short of what is asked for" if short else ""
         return f"The run obeys its detector file: nothing in {tested} tests speaks against it{also}."
     measure = cause.parameter.measure
-    said = f"asked {_number(cause.asked)}, measured {_number(cause.measured or 0.0)}"
+    said = f"asked {significant(cause.asked)}, measured {significant(cause.measured or 0.0)}"
     if isinstance(measure, Exact):
         said = "wrong {} times of {}".format(*_counts(measure))
     return (
@@ -88,19 +88,15 @@ def conclusion(verification: Verification) -> str:
 
 
 def _counts(measure: Exact) -> tuple[str, str]:
-    return f"{measure.wrong}", f"{measure.count:.0f}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}".replace("-", "−").replace("inf", "∞")
+    return f"{measure.wrong:,}", f"{measure.count:,.0f}"
 
 
 def _noticed(verdict: parameters.TestResult) -> str:
     below, above = verdict.noticed
     if below is not None and above is not None and abs(below - above) <= 0.1 * above:
-        return f"± {_number(max(below, above))}"
-    parts = [f"−{_number(below)}"] if below is not None else []
-    parts += [f"+{_number(above)}"] if above is not None else []
+        return f"± {significant(max(below, above))}"
+    parts = [f"−{significant(below)}"] if below is not None else []
+    parts += [f"+{significant(above)}"] if above is not None else []
     return " ".join(parts) or "–"
 
 

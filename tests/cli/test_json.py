@@ -292,7 +292,10 @@ def with_counts(result: RunResult, **counts: Counts) -> RunResult:
 
 
 def test_every_share_is_of_a_number_that_is_printed(strait: Scene, result: RunResult) -> None:
-    rows = {name: (value, meaning) for name, value, meaning in summary_rows(strait, with_counts(result, bow=COUNTS))}
+    rows = {
+        name: [cell.replace(",", "") for cell in cells]
+        for name, *cells in summary_rows(strait, with_counts(result, bow=COUNTS))
+    }
     true = re.fullmatch(r"in the files: (\d+) true \+ (\d+) false", rows["detections"][1])
     assert true is not None
     assert int(rows["detections"][0]) == int(true[1]) + int(true[2]) == 5900 + 846
@@ -319,7 +322,9 @@ def test_counts_of_files_and_cameras_are_printed_unbroken_and_bad_boxes_warned_o
     tables = open_run(result.folder).tables()
     rows = {name: value for name, value, _ in summary_rows(strait, result)}
     kept = {name: sum(tables["truth"][name].to_pylist()) for name in ("annotated", "detected")}
-    assert {name: int(rows[name]) for name in (*kept, "detections")} == kept | {"detections": len(tables["detections"])}
+    assert {name: int(rows[name].replace(",", "")) for name in (*kept, "detections")} == kept | {
+        "detections": len(tables["detections"])
+    }
     monkeypatch.setenv("COLUMNS", "80")
     both = with_counts(result, bow=COUNTS, quay=COUNTS, the_quay_camera=COUNTS)
     print_summary(strait, both, sheet=False)
@@ -328,14 +333,14 @@ def test_counts_of_files_and_cameras_are_printed_unbroken_and_bad_boxes_warned_o
         assert set(" ".join(row).split()) <= words, row
     header, *rows = camera_rows(with_counts(result, bow=COUNTS, stern=Counts(frames=3)))
     assert dict(zip([" ".join(name.split()) for name in header], rows[0], strict=True)) == {
-        **{"camera": "bow", "frames": "1500", "annotated": "7458", "detected": "5933", "false positives": "846"},
-        **{"wrong class": "596", "IoU < 0.5": "5868", "off vessel": "2635"},
+        **{"camera": "bow", "frames": "1,500", "annotated": "7,458", "detected": "5,933", "false positives": "846"},
+        **{"wrong class": "596", "IoU < 0.5": "5,868", "off vessel": "2,635"},
     }
     assert rows[1][:3] == ("stern", "3", "0")
     few = replace(COUNTS, below_half_iou=100)
     said = [run_warnings(strait, with_counts(result, bow=some, quay=some)) for some in (COUNTS, few)]
     assert [["IoU below 0.5" in line for line in lines] for lines in said] == [[True], []]
-    assert said[0][0].startswith("11736 of 11800 true detections have IoU below 0.5")
+    assert said[0][0].startswith("11,736 of 11,800 true detections have IoU below 0.5")
 
 
 def test_check_warns_of_the_sign_of_the_pitch(tmp_path, monkeypatch, capsys):

@@ -73,7 +73,7 @@ def test_neither_persistence_nor_a_placement_is_learned_where_there_is_none():
     assert set(learned.detector()["false_positives"]) == {"model", "size"}
     persistence, placement = (note for note in learned.notes if note.startswith("false_positives.p"))
     assert "have another near their place in the next frame" in persistence
-    assert "no other is clearly likelier; 0.0% of" in placement and "above the horizon" in placement
+    assert "no other is clearly likelier; 0.0 % of" in placement and "above the horizon" in placement
 
 
 def test_boxes_that_jitter_from_frame_to_frame_still_stay(staying):

@@ -319,7 +319,7 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
     start = "Not known: states.usual.confidence.false, false_positives.size; "
     assert re.match(rf"{start}some [12]\d\d of \d\d\d false detections are boxes", unknown)
     assert remarks(8.0, "provenance") == ()
-    assert "100% of the matches have the label after" in remarks(2.0, shift=1)[0]
+    assert "100 % of the matches have the label after" in remarks(2.0, shift=1)[0]
     moved = "In MOT, --labels can give the numbers of both files one name; in COCO, --category-offset -1 moves results"
     assert moved in remarks(2.0, shift=1)[0]
     with pytest.raises(ModsimError, match="none of 0 detections matches any of 40 annotations"):

@@ -278,7 +278,7 @@ def test_boxes_in_another_form_are_recognised(read, read_mot, small_rows, small_
         ("MOT", centred, "but are centre x"),
         ("MOT", lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
         ("MOT", lambda boxes: top_left(boxes) / 4, "are those of an image of 480 x 270 px"),
-        ("MOT", top_left, "pixels are counted from 0, must be counted from 1 (then half of them lie within 0.00%"),
+        ("MOT", top_left, "pixels are counted from 0, must be counted from 1 (then half of them lie within 0.00 %"),
         ("MOT", lambda boxes: exchanged(top_left(boxes)), "x and y of the boxes are exchanged"),
         ("MOT", lambda boxes: top_left(from_below(boxes)), "y is counted from the lower edge of the image"),
     ):

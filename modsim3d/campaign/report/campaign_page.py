@@ -28,7 +28,7 @@ from modsim3d.campaign.verdicts.seed_values import (
     paired,
 )
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.verdicts.wording import levels_of
+from modsim3d.campaign.verdicts.wording import levels_of, score_name
 from modsim3d.campaign.work.row import DONE, SAID, error_text, rules_of
 from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Row, Table, Text
 from modsim3d.core.errors import ModsimError
@@ -53,7 +53,7 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
     cells: list[Row] = []
     cases = list(product(range(len(plan.conditions)), range(len(plan.keys.trackers))))
     for low, high in pairwise(SIZE_EDGES_M):
-        size, curves = f"{low:g} to {high:g} m" if high < np.inf else f"{low:g} m and more", {}
+        size, curves = f"{low:,g} to {high:,g} m" if high < np.inf else f"{low:,g} m and more", {}
         for condition, tracker in cases:
             found, crashed = rows.approaches(Case(tracker, condition))
             sized = [[each for each in seed if low <= each["length_m"] < high] for seed in found]
@@ -71,7 +71,7 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
         f"{MIN_APPROACHES} approaches.",
         "soft",
     )
-    yield Table("", ("length", "tracker", *key_columns(keys), *(f"{each:g} m" for each in distances)), cells)
+    yield Table("", ("length", "tracker", *key_columns(keys), *(f"{each:,g} m" for each in distances)), cells)
     yield Beside(drawn)
 
 
@@ -111,7 +111,7 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
             f"itself: of twenty, one is expected to miss.{stopped}{remark}",
             "soft",
         ),
-        means.mean_table(shown, "", names=means.score_name),
+        means.mean_table(shown, "", names=score_name),
     ]
 
 
@@ -199,7 +199,7 @@ def worst_sections(
 def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., None]) -> Iterator[Block]:
     run = folder.plan.run(each.number)
     values = {**words.values_of(folder.plan, each.condition), **run.condition.values}
-    what = "crashed" if each.value is None else f"{means.score_name(each.score)} {three_digits(each.value)}"
+    what = "crashed" if each.value is None else f"{score_name(each.score)} {three_digits(each.value)}"
     if each.requirement is not None:
         what += f" (requirement {each.requirement + 1})"
     said = values_text(values, [*words.varying(folder.plan), *folder.plan.drawn])
@@ -222,7 +222,7 @@ def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: fl
         pictures = moment_pictures(made.rows, made.tracks, moment_s, rules_of(folder.keys.score))
     except ModsimError as error:
         return Text(f"There is no picture: {error}", "soft")
-    caption = f"Run {number} before and after {moment_s:g} s, with {tracker}. {ABOUT}"
+    caption = f"Run {number} before and after {moment_s:.1f} s, with {tracker}. {ABOUT}"
     return Figure(partial(images, pictures, caption, "jpeg", quality=QUALITY), caption)
 
 

@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 from modsim3d.campaign.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys, Range
 from modsim3d.campaign.plan import Plan, text_of
-from modsim3d.campaign.report.words import with_name
 from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.verdicts.wording import with_name
 from modsim3d.campaign.work.coverage import COVERED, KINDS, MET, OCCLUSIONS, RANGES, SIZES, VESSELS
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.work.task import PLAN

@@ -20,7 +20,7 @@ from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.row import DONE
 from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
 from modsim3d.core.paths import StrPath, out_file
-from modsim3d.core.text import counted, three_digits
+from modsim3d.core.text import counted, three_digits, with_minus
 from modsim3d.core.written import Written
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed
@@ -137,8 +137,8 @@ def _others(table: pa.Table) -> list[Block]:
 def _range(each: Range) -> str:
     if each.choices is not None:
         return "one of " + ", ".join(map(text_of, each.choices))
-    whole = ", whole numbers" if each.whole else ""
-    return f"{each.low:g} to {each.high:g}{', logarithmic' if each.scale == 'log' else ''}{whole}"
+    kind = f"{', logarithmic' if each.scale == 'log' else ''}{', whole numbers' if each.whole else ''}"
+    return f"{with_minus(f'{each.low:g}')} to {with_minus(f'{each.high:g}')}{kind}"
 
 
 def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:

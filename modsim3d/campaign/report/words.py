@@ -11,11 +11,10 @@ import numpy as np
 
 from modsim3d.campaign.folder import FILE, CampaignFolder, files_of_campaign
 from modsim3d.campaign.keys import Requirement
-from modsim3d.campaign.means import score_name
 from modsim3d.campaign.plan import Plan, groups_of, key_columns, text_of, value_cells, value_text
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict, repeatable
-from modsim3d.campaign.verdicts.wording import percent, requirement_text
+from modsim3d.campaign.verdicts.wording import percent, requirement_text, score_name, with_name
 from modsim3d.campaign.work.row import SHARES, facts_of
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.core.document import Block, Cell, Fold, Heading, Row, Table, Text, Where
@@ -205,12 +204,6 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
             said += " in both cases" if len(found) == 2 else f" in all {len(found):,} cases"
         yield Heading(f"{place + 1}. {text}: {said}", 3, bad=count["failed"] > 0)
         yield from _table(plan, requirement, found)
-
-
-def with_name(text: str) -> str:
-    """Text of a requirement that begins with the name of its score, such as HOTA, in place of the key."""
-    key, space, rest = text.partition(" ")
-    return f"{score_name(key)}{space}{rest}"
 
 
 def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> Iterator[Block]:

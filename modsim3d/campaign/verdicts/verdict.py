@@ -175,7 +175,7 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     elif found.outcome == "undecided" and impossible:
         why.append(f"This plan can never meet it: {impossible}.")
     why += _of_lost(runs, requirement, keys)
-    why += _of_left_out(runs, requirement, requirement.what + case.within, keys.seed)
+    why += _of_left_out(runs, requirement, wording.with_name(requirement.what) + case.within, keys.seed)
     facts, rests_on = facts_of(requirement.score, group), runs.rests_on
     if rests_on is not None and (facts.managed or requirement.resting_on is not None):
         less = "" if case.minus is None else ", the less of both trackers"
@@ -204,7 +204,7 @@ def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case,
     if done := rows.seeds == plan.keys.seeds.traffic and counts.share is not None:
         bounds = Bounds(mean_share_low(counts.shares, alpha), 1 - mean_share_low(1 - counts.shares, alpha))
     outcome = _outcome(bounds.low >= requirement.share, bounds.high < requirement.share)
-    why = f"{counts.known.sum():,.0f} of {counts.came.sum():,.0f} approaches are known at {requirement.known_at_m:g} m"
+    why = f"{counts.known.sum():,.0f} of {counts.came.sum():,.0f} approaches are known at {requirement.known_at_m:,g} m"
     why += f" ({counts.appeared_nearer:,} appeared nearer, {counts.never_so_near:,} never came so near)"
     why += f"; mean of {counted(len(counts.shares), 'traffic seed')} that have some" if counts.share is not None else ""
     why += f"{' ' if counts.share is not None else '; '}{_between(bounds, requirement)}." if done else "."
@@ -312,7 +312,11 @@ def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys
     hopeless = own.lost.any() and np.all(np.isnan(own.means(math.nan))) and not clean
     if hopeless or (estimate == math.inf and requirement.at_most is not None):
         outcome = "failed"
-    said = f"the mean is {wording.rounded(estimate)}" if estimate is not None else f"no run has {requirement.what}"
+    said = (
+        f"the mean is {wording.rounded(estimate)}"
+        if estimate is not None
+        else f"no run has {wording.with_name(requirement.what)}"
+    )
     if estimate is not None and runs.lost.any():
         said = f"the mean of the {len(seen):,} with a value is {wording.rounded(estimate)}"
     why = f"Over {counted(len(worst), 'traffic seed')} {said}"
@@ -367,6 +371,7 @@ def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterat
         yield f"{said}: the bounds take the worst and the best possible {kind} in their place."
     else:
         yield (
-            f"{said}, and {requirement.what} has no worst possible value to take in their place: it cannot be met. "
+            f"{said}, and {wording.with_name(requirement.what)} has no worst possible value to take in their place: "
+            "it cannot be met. "
             "With `in` such runs are wrong, and others can be right."
         )

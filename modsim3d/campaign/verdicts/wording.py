@@ -12,8 +12,23 @@ from modsim3d.campaign.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan import Case, Plan, cases_of, groups_of
 from modsim3d.campaign.verdicts.bounds import WHOLE, Bounds, clean_seeds, clean_seeds_sequential, perfect_seeds
 from modsim3d.campaign.work.row import SHARES, facts_of, limits_of
+from modsim3d.tracking.score_text import COLUMNS
 
 _DIGITS = 4
+_NAMES = {key: name.partition(",")[0] for name, key, _ in COLUMNS}
+
+
+def score_name(column: str) -> str:
+    """A score as a table names it, from its column in the results."""
+    part, _, key = column.rpartition(".")
+    group, _, name = part.partition(".")
+    return _NAMES.get(key, key) + (f" in {group} {name}" if group else "")
+
+
+def with_name(text: str) -> str:
+    """Text that begins with the key of a score, with its name, such as HOTA, in place of the key."""
+    key, space, rest = text.partition(" ")
+    return f"{score_name(key)}{space}{rest}"
 
 
 def requirement_text(requirement: Requirement, within: str = "") -> str:
@@ -21,7 +36,7 @@ def requirement_text(requirement: Requirement, within: str = "") -> str:
     if requirement.kind is not None and requirement.known_at_m is not None:
         how = "" if requirement.one_track else " by any tracks"
         share = "" if requirement.share is None else f", in {percent(requirement.share)} of approaches"
-        return f"{requirement.kind.text} known at {requirement.known_at_m:g} m{how}{within}{share}"
+        return f"{requirement.kind.text} known at {requirement.known_at_m:,g} m{how}{within}{share}"
     side = "at least" if requirement.at_least is not None else "at most"
     text = f"{requirement.what} {side} {requirement.threshold:.10g}"
     if requirement.resting_on is not None:
@@ -156,7 +171,7 @@ def too_few(requirement: Requirement, seeds: int, group: str) -> str:
     if needed <= seeds:
         return ""
     side, where = "lower" if requirement.at_least is not None else "upper", f" by {group}" if group else ""
-    bound = f"the {side} bound of a mean of {requirement.what}{where}"
+    bound = f"the {side} bound of a mean of {with_name(requirement.what)}{where}"
     if math.isfinite(needed):
         why = "with fewer it errs too often; a share of seeds with `in` is exact"
         return f"{bound} needs {needed:.0f} traffic seeds with a value, and has {seeds}: {why}"
@@ -240,7 +255,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefine
             f"`resting_on`, as in `resting_on: 0.8`, says on which share of {facts.basis.of} each run must rest"
         )
     if requirement.threshold > greatest if at_least else requirement.threshold < least:
-        return f"{requirement.what} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
+        return f"{with_name(requirement.what)} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
     if requirement.share is not None:
         return _share_never_met(requirement.share, requirement.confidence, keys.stop, seeds)
     if requirement.threshold == (greatest if at_least else least):

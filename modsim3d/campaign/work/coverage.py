@@ -41,8 +41,8 @@ class Bins:
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the bins on a page, such as `0 to 100 m` and `100 m and more`."""
-        closed = (f"{low} to {high} {self.unit}" for low, high in pairwise((0, *self.edges)))
-        return *closed, f"{self.edges[-1]} {self.unit} and more"
+        closed = (f"{low:,} to {high:,} {self.unit}" for low, high in pairwise((0, *self.edges)))
+        return *closed, f"{self.edges[-1]:,} {self.unit} and more"
 
     def place(self, values: Array) -> Indices:
         """Index of the bin of each value, shape (n,)."""

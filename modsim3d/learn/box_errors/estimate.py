@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.text import in_percent
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn import bootstrap
 from modsim3d.learn.box_errors import persistence
@@ -60,7 +61,7 @@ class UsedMatches:
             f"{self.used:,}",
             f"{self.cut:,}",
             f"{self.censored:,}",
-            f"{100 * share:.2g} %" if share > 5e-4 else "–",
+            in_percent(share, 1) if share > 5e-4 else "–",
         )
 
 

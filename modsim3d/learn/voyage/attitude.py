@@ -8,6 +8,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError
+from modsim3d.core.text import in_percent
 from modsim3d.geometry.camera_poses import vehicle_R_nominal, world_R_vehicle
 from modsim3d.io.misreadings import other_unit
 from modsim3d.io.text_table import TextTable
@@ -106,7 +107,9 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         raise InputError(source, [problem])
     outside = ((times < 0) | (times > clock.length_s)).mean()
     if outside > 0.5 and np.median(np.diff(times)) > MAX_APART_S and (unit := other_unit(times, clock.length_s)):
-        raise InputError(source, [f"{outside:.0%} of its rows are after {scene.title}, of {clock.length_s:g} s{unit}"])
+        raise InputError(
+            source, [f"{in_percent(outside)} of its rows are after {scene.title}, of {clock.length_s:g} s{unit}"]
+        )
     _check_headings(times, heading, scene, carriers[0], source)
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))
 

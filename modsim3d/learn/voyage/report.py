@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.document import Block, Figure, Heading, Items, Table, Text
-from modsim3d.core.text import counted, in_percent
+from modsim3d.core.text import counted, in_percent, number
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import match
 from modsim3d.geometry.camera import Camera
@@ -106,7 +106,7 @@ def _rate(column: Column | None, level: float, units: int) -> str:
     if column is None:
         return "–"
     low, high = column.interval(level, units)
-    return f"{float(column.estimate):.3g} ({float(low):.2g} to {float(high):.2g})"
+    return f"{number(float(column.estimate), 2)} ({number(float(low), 2)} to {number(float(high), 2)})"
 
 
 def _share(column: Column, level: float, units: int) -> str:
@@ -229,7 +229,7 @@ def _values(camera: Camera) -> dict[str, str]:
     angles = {f"{name}_deg": np.degrees(getattr(mount, f"{name}_rad")) for name in ("roll", "pitch", "yaw")}
     return {name: f"{angle:.3f}°" for name, angle in angles.items()} | {
         "height_m": f"{mount.position_m[2]:.3f} m",
-        "focal_share": f"{lens.focal_px[0]:.1f} px",
+        "focal_share": f"{lens.focal_px[0]:,.1f} px",
         "k1": f"{lens.distortion.k1 if lens.distortion else 0:.4f}",
     }
 

@@ -161,20 +161,20 @@ def summary_rows(traffic: AisTraffic) -> list[tuple[str, list[tuple[str, str, st
     groups = Counter(vessel.hull.group for vessel in traffic.vessels)
     present = sum(len(vessel.steps) for vessel in traffic.vessels)
     away = f"{len(traffic.elsewhere)} more are there at no step" if traffic.elsewhere else ""
-    read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
+    read = [(tally.path.name, f"{tally.messages:,}", f"messages, {tally.format}") for tally in traffic.files]
     made = [
-        ("messages used", str(messages_used(traffic)), f"of {messages_read(traffic)}"),
-        ("particulars", str(traffic.dropped["particulars_only"]), "messages with names and dimensions only"),
-        ("vessels", str(len(traffic.vessels)), away),
-        ("steps", str(len(traffic.grid.timestamps)), f"every {options.time_step_s:g} s, {times}"),
-        ("poses", str(present), f"away where reports are more than {options.max_gap_s:g} s apart"),
+        ("messages used", f"{messages_used(traffic):,}", f"of {messages_read(traffic):,}"),
+        ("particulars", f"{traffic.dropped['particulars_only']:,}", "messages with names and dimensions only"),
+        ("vessels", f"{len(traffic.vessels):,}", away),
+        ("steps", f"{len(traffic.grid.timestamps):,}", f"every {options.time_step_s:g} s, {times}"),
+        ("poses", f"{present:,}", f"away where reports are more than {options.max_gap_s:g} s apart"),
         ("farthest", f"{_farthest_m(traffic) / 1000:.1f} km", _flatness(_farthest_m(traffic))),
         ("origin", "{:.5f}, {:.5f}".format(*traffic.origin), "latitude, longitude of w1 = w2 = 0"),
     ]
 
     def explained(counts: dict[str, int], meaning: dict[str, str]) -> list[tuple[str, str, str]]:
         return [
-            (name, str(count), meaning[name].format(max_speed_kn=options.max_speed_kn))
+            (name, f"{count:,}", meaning[name].format(max_speed_kn=options.max_speed_kn))
             for name, count in counts.items()
         ]
 

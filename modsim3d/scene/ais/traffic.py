@@ -11,6 +11,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.text import in_percent
 from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
@@ -166,7 +167,7 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
     moved_m = np.hypot(*(places[one + 1] - places[one]).T).sum()
     said_m = (positions.speed_kn[one + 1] * KNOT_M_S * np.diff(positions.time_s)[one]).sum()
     if len(one) >= FEW_MOVES and moved_m < SLOWEST * said_m:
-        return f"vessels move at {moved_m / said_m:.0%} of the speeds that they report: are places in degrees?"
+        return f"vessels move at {in_percent(moved_m / said_m)} of the speeds that they report: are places in degrees?"
     under_way = one[(positions.speed_kn[one] > UNDER_WAY_KN) & np.isfinite(positions.course_deg[one])]
     if len(under_way) < FEW_MOVES or (np.abs(positions.longitude_deg) > 90).any():
         return ""

@@ -11,7 +11,7 @@ from PIL import Image
 from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Result, Table, Text, Tiles, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import in_percent
+from modsim3d.core.text import counted, in_percent
 from modsim3d.io.atomic_write import encoded, write_files
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.render.id_pass import IdRenderer
@@ -72,26 +72,26 @@ def _figure_rows(figures: ComparisonFigures) -> Rows:
     """Figures in rows: what was drawn, whether the rendered truth is the same, and how the analytic truth differs."""
     fraction, drawn = figures.visible_fraction, figures.drawn
     return [
-        ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
-        ("drawn by OpenGL", f"{drawn.vessels} silhouettes alone, {drawn.frames - drawn.empty_frames} scenes"),
-        ("pixels compared with what was drawn", f"{drawn.pixels} of silhouettes, alone and in the scene"),
-        ("rendered truth", f"{drawn.from_spans} vessel-frames from spans, {drawn.from_buffers} from buffers"),
-        ("not as it was drawn", f"{figures.differs_from_drawn} vessel-frames, and {figures.missing} missing"),
-        ("pixels that differ where rounding decides", str(drawn.tie_pixels)),
+        ("vessel-frames compared", f"{figures.vessel_frames:,} in {figures.frames:,} frames"),
+        ("drawn by OpenGL", f"{drawn.vessels:,} silhouettes alone, {drawn.frames - drawn.empty_frames:,} scenes"),
+        ("pixels compared with what was drawn", f"{drawn.pixels:,} of silhouettes, alone and in the scene"),
+        ("rendered truth", f"{drawn.from_spans:,} vessel-frames from spans, {drawn.from_buffers:,} from buffers"),
+        ("not as it was drawn", f"{figures.differs_from_drawn:,} vessel-frames, and {figures.missing:,} missing"),
+        ("pixels that differ where rounding decides", f"{drawn.tie_pixels:,}"),
         ("partly or wholly hidden", _share(figures.occluded, figures.vessel_frames)),
         ("full box, side differences", _sides(figures.full_box)),
         ("visible box, side differences", _sides(figures.visible_box)),
         ("visible fraction, differences", _up_to(fraction.max, fraction.p99, 4)),
-        ("fraction differences that boundary pixels do not explain", str(fraction.above_bound)),
-        ("visible to one source only", str(figures.visible_at_all_differs)),
-        ("every pixel checked against geometry", f"{figures.pixels_looked_at} vessel-frames"),
-        ("UNEXPLAINED", str(figures.unexplained)),
+        ("fraction differences that boundary pixels do not explain", f"{fraction.above_bound:,}"),
+        ("visible to one source only", f"{figures.visible_at_all_differs:,}"),
+        ("every pixel checked against geometry", counted(figures.pixels_looked_at, "vessel-frame")),
+        ("UNEXPLAINED", f"{figures.unexplained:,}"),
     ]
 
 
 def _rule_rows(rule: RuleFigures) -> Rows:
     return [
-        ("occluded vessel-frames", str(rule.occluded)),
+        ("occluded vessel-frames", f"{rule.occluded:,}"),
         (f"a side off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
         ("hidden vessel kept", _share(rule.hidden_vessel_kept, rule.occluded)),
         ("visible vessel dropped", _share(rule.visible_vessel_dropped, rule.occluded)),

@@ -167,7 +167,7 @@ WRONG = {
     "steady degrees": (f"{HEAD}0,1,0,190\n1,1,0,190.2\n", TURNED.format(92) + ".*, in radians: are these degrees"),
     "milliseconds": (
         HEAD + "".join(f"{k * 100:g},0,0,0\n" for k in range(46)),
-        r"98% of its rows are after .*, of 4.6 s: they seem to be milliseconds",
+        r"98 % of its rows are after .*, of 4.6 s: they seem to be milliseconds",
     ),
     "another day": (f"{HEAD}90000,0,0,0\n90001,0,0,0\n", "its rows are from 90000 s to"),
     "compass": (f"{HEAD}0,0,0,1.57\n1,0,0,1.57\n", TURNED.format(90) + " counter-clockwise from w1"),

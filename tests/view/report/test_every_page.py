@@ -1,7 +1,9 @@
 """Every page that commands write: what it rests on, what axe-core finds, a narrow screen, and paper."""
 
+import contextlib
 import hashlib
 import html
+import io
 import json
 import os
 import re
@@ -56,6 +58,15 @@ def pages(tmp_path_factory):
         yield folder
     finally:
         os.chdir(before)
+
+
+@pytest.fixture(scope="module")
+def printed(pages: Path) -> dict[str, str]:
+    """What commands print."""
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
+        for words in OUTPUT:
+            call(patch, *words.split())
+    return {"the terminal": said.getvalue()}
 
 
 def sha256(path: Path) -> str:
@@ -133,6 +144,28 @@ def test_pages_have_what_the_run_has_are_the_same_bytes_again_and_fold_tests_tha
     passed = [each for each in verified["parameters"] if each["verdict"] == "obeys"]
     summaries = re.findall(r"<details><summary>[^<]*?: (\d+) tests? passed", (pages / PAGES["verify"]).read_text())
     assert sum(map(int, summaries)) == len(passed) > 20
+
+
+WRONG = {  # one way to write: what no text for people has
+    "a percent sign without a space before it": r"\d%",
+    "thousands without a comma": r"^\d{4,}$|(?<![\w.,−-])[1-9]\d{3,} (?:m|px|s|of|wrong|true|false|[a-z-]+s)\b",
+    "the key of a score": r"(?<![\w.])(?:hota|deta|assa|mota|idf1|id_switches)\b",
+    "another word for false positive": r"[Ff]alse.alarm",
+    "a hyphen for a minus sign": r"(?:^|to |± )-\d",
+}
+KEYED = (
+    r"(?s)By their keys<.*?</table>|All settings of the run<.*?</table>|<(code|script|style)\b.*?</\1>|seeds? \d[\d, ]*"
+)
+OUTPUT = ("campaign table campaign", "campaign status campaign", "check run run", "learn run --out again.yaml")
+
+
+def test_numbers_and_scores_are_written_in_one_way_on_pages_and_in_terminals(pages, printed):
+    texts = {name: re.sub(KEYED, "", (pages / path).read_text(encoding="utf-8")) for name, path in PAGES.items()}
+    texts = {name: re.sub(r"<(?!/?(?:b|wbr|span)\b)[^>]*>", "\n", text) for name, text in texts.items()}
+    for what, wrong in WRONG.items():
+        for name, text in (texts | printed).items():
+            found = re.findall(f"^(.*(?:{wrong}).*)$", html.unescape(text), re.M)
+            assert not found, (name, what)
 
 
 WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.open = true);

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.core.statistics import MAD_TO_STD
+from modsim3d.core.text import in_percent
 from modsim3d.formats.labelled import Annotations, Images
 from modsim3d.formats.matching import image_pairs
 from modsim3d.learn.matches import FalseSightings, Observed
@@ -308,7 +309,7 @@ class Behaviour(IntEnum):
         return {
             Behaviour.LIKE_A_VESSEL: "nothing speaks against a vessel",
             Behaviour.ABOVE_THE_HORIZON: "lower edge above the horizon",
-            Behaviour.RARELY_SEEN: f"detected in less than {_MIN_SHARE:.0%} of the frames",
+            Behaviour.RARELY_SEEN: f"detected in less than {in_percent(_MIN_SHARE)} of the frames",
             Behaviour.JUMPS: "moves unsteadily",
             Behaviour.CHANGES_SIZE: "changes its size",
         }[self]

@@ -102,7 +102,7 @@ class Above {
     this.closest = { vessel: chosen, metres, seconds: left };
     const [one, other] = [at(own, left), at(chosen, left)];
     this.line(one, other, colourOf('--ink'), { width: 2 });
-    this.name(`CPA ${metres.toFixed(0)} m (${(metres / NM_M).toFixed(2)} nm) in ${(left / 60).toFixed(1)} min`, this.width / 2, 16);
+    this.name(`CPA ${inMetres(metres)} (${(metres / NM_M).toFixed(2)} nm) in ${(left / 60).toFixed(1)} min`, this.width / 2, 16);
   }
 
   line(from, to, colour, { dash = [], alpha = 1, width = 1.2 } = {}) {

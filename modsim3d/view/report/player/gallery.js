@@ -67,7 +67,7 @@ class Gallery {
     const draw = () => picture.draw(recording, mistake.index, camera, shown, frame);
     canvas.addEventListener('loaded', draw); // its picture
     draw();
-    const range = mistake.range === null ? '' : `${mistake.range.toFixed(0)} m`, vessel = mistake.vessel === null ? '' : vessels[mistake.vessel].name;
+    const range = mistake.range === null ? '' : inMetres(mistake.range), vessel = mistake.vessel === null ? '' : vessels[mistake.vessel].name;
     const words = [`${timestamps[mistake.index]} s`, kindOf(mistake.kind).name, vessel, range].filter((word) => word).join(' · ');
     const button = element('button', { type: 'button' }, canvas, element('span', { textContent: words }));
     button.addEventListener('click', () => {

@@ -5,7 +5,7 @@ function describe(truth, detection) {
   const as = detection?.mislabelled ? `as ${detection.label}` : 'detected', how = detection?.off ? ', off it' : detection?.bad ? ', IoU\u00a0<\u00a00.5' : '';
   const found = `${as} ${detection?.confidence.toFixed(2) ?? ''}${how}`;
   const what = truth.missed ? 'missed' : truth.detected ? found : truth.fraction === 0 ? 'hidden' : 'not annotated';
-  return [truth.depth === null ? '' : `${truth.depth.toFixed(0)} m`, seen, truth.fraction === 0 ? `hidden${by}` : what];
+  return [truth.depth === null ? '' : inMetres(truth.depth), seen, truth.fraction === 0 ? `hidden${by}` : what];
 }
 
 // What is wrong with a detection of a vessel.
@@ -14,6 +14,9 @@ function wordsFor({ mislabelled, bad, off }) {
 }
 
 function some(count, text) { return count ? `${count} ${text}` : ''; }
+
+// Whole metres, with commas in thousands.
+function inMetres(metres) { return `${Math.round(metres).toLocaleString('en')} m`; }
 
 // Never all or nothing where a part is seen.
 function percent(fraction) {
