@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import NOBODY, Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.errors import RendererError
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.blocks import frames_of
@@ -45,6 +45,7 @@ class Story:
     frame: Indices  # shape (n,)
     boxes_px: Array  # x_min, y_min, x_max, y_max, shape (n, 4)
     partner: Indices  # number of the track that follows the vessel, or index of the vessel, `NOBODY` for none, (n,)
+    seen: Mask  # whether other things do not hide all of the vessel, shape (n,)
 
     @classmethod
     def of(cls, scored: Scored, moment_s: float) -> Story:
@@ -60,14 +61,14 @@ class Story:
         rows = np.flatnonzero((is_mine == number) & (mine.frame % scored.by_step == lost % scored.by_step))
         rows = rows[np.argsort(mine.frame[rows], kind="stable")]
         partner = np.append(partners, NOBODY)[paired[rows]]
-        return cls(scored, vessel, track, lost, mine.frame[rows], mine.boxes_px[rows], partner)
+        seen = ~truth.hidden[rows] if track == NOBODY else np.ones(len(rows), dtype=bool)
+        return cls(scored, vessel, track, lost, mine.frame[rows], mine.boxes_px[rows], partner, seen)
 
     @property
     def before(self) -> int:
-        """The last frame with a partner before it went wrong, or else the first frame."""
-        earlier = np.flatnonzero(self.frame < self.lost)
-        paired = earlier[self.partner[earlier] != NOBODY]
-        return int(self.frame[paired[-1] if len(paired) else 0])
+        """The last frame in which it is seen with a partner before it went wrong, or else the first in which it is."""
+        paired = np.flatnonzero(self.seen & (self.frame < self.lost) & (self.partner != NOBODY))
+        return int(self.frame[paired[-1] if len(paired) else np.flatnonzero(self.seen)[0]])
 
     def caption(self, frame: int) -> str:
         """Words for a frame."""
@@ -113,7 +114,8 @@ def moment_pictures(rows: RunRows, tracks: Tracks, moment_s: float | None, rules
     story = Story.of(scored, moment_s)
     frames = list(dict.fromkeys((story.before, story.lost)))
     plan = _plan(story, frames, TrackSet("the tracker", tracks, None))
-    plan = replace(plan, width=WIDTH_PX, enlarged=ENLARGED, key=False)
+    style = replace(plan.style, enlarged=ENLARGED)
+    plan = replace(plan, width=WIDTH_PX, enlarged=ENLARGED, style=style, key=False)
     with open_film_renderer(rows.scene, plan) as renderer:
         return [renderer.draw(_shown(story, each)) for each in frames]
 

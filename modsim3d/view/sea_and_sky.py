@@ -45,6 +45,7 @@ class RenderStyle:
     significant_height_m: float | None = None  # of the waves that are drawn; the scene's own if None
     by_state: bool = False  # whether the weather is that of the detector's state in each frame
     caption: str = ""  # a line for the picture, that says what weather is drawn
+    enlarged: float = 1.0  # size of the caption, as a multiple of the usual one
 
     def __post_init__(self) -> None:
         """Check what the user gave."""

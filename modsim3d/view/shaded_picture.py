@@ -199,7 +199,7 @@ class ShadedPictureRenderer:
         if self.style.rain:
             _rain(picture, int(solids.sight.steps[0]))
         if self.style.caption:
-            canvas, text = Canvas(picture), self.style.caption
+            canvas, text = Canvas(picture, round(self.style.enlarged * picture.width)), self.style.caption
             canvas.plate(0, picture.height - canvas.plate_size(text)[1], text, palette.INK)
         return picture
 

@@ -132,7 +132,9 @@ def test_of_a_switch_a_lost_vessel_and_a_false_track_the_switch_is_shown_then_th
     false, lost = [(3, 20, box(400))], [(step, 7, box(100)) for step in (0, 1)]
     switch, stays = ([(step, number if step == 3 else 8, box()) for step in range(4)] for number in (9, 8))
     shown = []
-    for rows, tracks in ((truth, switch + false + lost), (truth, stays + false + lost), ([], false)):
+    hidden = [(*row, 0.0 if row[:2] in ((1, 0), (2, 0)) else 1.0) for row in truth]  # nobody sees her before the switch
+    four = (truth, switch + false + lost), (hidden, switch), (truth, stays + false + lost), ([], false)
+    for rows, tracks in four:
         story = Story.of(hand_made(rows, tracks, 4), 3.0)
         close_up = story.close_up([story.before, story.lost])
         shown.append((story.before, story.lost, [*close_up.captions.values()], sorted(close_up.tracks)))
@@ -141,6 +143,7 @@ def test_of_a_switch_a_lost_vessel_and_a_false_track_the_switch_is_shown_then_th
     a, b = story.scored.rows.scene.vessel_names[:2]
     assert shown == [
         (2, 3, [f"{a}: track #8", f"{a}: track #9"], [8, 9]),
+        (0, 3, [f"{a}: track #8", f"{a}: track #9"], [8, 9]),
         (1, 3, [f"{b}: track #7", f"{b}: no track"], [7]),
         (3, 3, ["track #20 on nothing"], [20]),
     ]
