@@ -13,8 +13,8 @@ each scan line twice: a left edge begins the span of pixels, a right edge ends i
 
 A centre exactly on an edge belongs to the side that OpenGL's fill rule gives it to: left and upper edges are inside,
 right and lower edges are not (OpenGL 4.5 core specification, section 14.6.1, leaves the side open but demands that a
-common edge of two triangles fills each pixel once; Mesa uses this one). tests/test_regions_against_full.py compares
-the result with drawn buffers.
+common edge of two triangles fills each pixel once; Mesa uses this one). tests/truth/test_regions_against_full.py
+compares the result with drawn buffers.
 """
 
 from __future__ import annotations
