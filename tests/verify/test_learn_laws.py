@@ -56,18 +56,19 @@ LAWS = {
 }
 
 
-def density(law: ErrorParameters, other: ErrorParameters) -> Any:
-    """The distribution of a law's errors from the means of another one, in standard deviations of that one."""
-    nu, spread = getattr(law.distribution, "degrees_of_freedom", np.inf), law.std / other.std
-    shape = (1 - 2 / nu) * law.correlation * np.outer(spread, spread)
-    return stats.multivariate_t((law.mean - other.mean) / other.std, shape, df=nu)
+def density(law: ErrorParameters, box: np.ndarray, other: ErrorParameters) -> Any:
+    """The distribution of a law's errors of a box, from the mean of another law and in its standard deviations."""
+    nu = getattr(law.distribution, "degrees_of_freedom", np.inf)
+    ((mean,), (std,)), ((middle,), (unit,)) = law.at(box[None]), other.at(box[None])
+    shape = (1 - 2 / nu) * law.correlation * np.outer(std / unit, std / unit)
+    return stats.multivariate_t((mean - middle) / unit, shape, df=nu)
 
 
 def sampled(law: ErrorParameters, box: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
     """Errors of one box by drawing until they count, standardised."""
     rng = np.random.default_rng(seed)
     means, stds = law.at(box[None])
-    drawn = density(law, law).rvs(count, random_state=rng)
+    drawn = density(law, box, law).rvs(count, random_state=rng)
     return drawn[inside_image(move(box, means[0] + stds[0] * drawn), IMAGE_PX)]
 
 
@@ -109,14 +110,14 @@ def test_ordered_roots_lag_pairs_quantiles_and_the_shared_level_are_those_of_a_s
     assert verification.cause.parameter is off
 
 
-@pytest.mark.parametrize("name, parameter", [*(("px", k) for k in range(14)), *(("student_t", k) for k in range(15))])
+@pytest.mark.parametrize("name, parameter", [(name, k) for name in LAWS for k in range(len(LAWS[name].names()))])
 def test_scores_are_derivatives_of_the_density(name, parameter):
-    law, step = LAWS[name], np.zeros(14 + (name == "student_t"))
+    law, box = LAWS[name], BOXES_PX[1]
     x = np.random.default_rng(8).standard_normal((20, 4)) * 1.5
-    step[parameter] = 1e-5
-    above, below = (density(law.moved(each), law).logpdf(x) for each in (step, -step))
-    slope, (weights, _) = (above - below) / 2e-5, law.score_weights(BOXES_PX[:1])
-    found = law.statistics(x) @ weights[parameter]
+    step = 1e-5 * (np.arange(len(law.names())) == parameter)
+    above, below = (density(law.moved(each), box, law).logpdf(x) for each in (step, -step))
+    slope, (weights, (gains,)) = (above - below) / 2e-5, law.score_weights(box[None])
+    found = gains[parameter] * (law.statistics(x) @ weights[parameter])
     np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
 
 
