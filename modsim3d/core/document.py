@@ -3,7 +3,7 @@ What is empty is not shown, nor is a heading with nothing below it: a result fil
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from enum import Flag, auto
 from html import escape
@@ -152,10 +152,8 @@ class Result:
     noun = ""
 
     def _rows(self) -> dict[str, str]:
-        """Its parts by name; an array or a table by its shape."""
-        shapes = {name: getattr(value, "shape", None) for name, value in vars(self).items()}
-        brief = {name: shorten(repr(vars(self)[name]), 60, placeholder=" …") for name in shapes if not shapes[name]}
-        return {name: brief.get(name, f"shape {shape}") for name, shape in shapes.items()}
+        """Its parts by name: arrays and tables by their shapes, several things by their number."""
+        return {name: _brief(value) for name, value in vars(self).items()}
 
     def _document(self) -> Document:
         title = f"{self.noun or type(self).__name__} {getattr(self, 'folder', '')}".strip()
@@ -172,6 +170,12 @@ class Result:
 
     def _repr_html_(self) -> str | None:
         return self._document().notebook() or None
+
+
+def _brief(value: object) -> str:
+    if isinstance(value, tuple | list | dict) or hasattr(value, "__dataclass_fields__"):
+        return f"{len(value):,}" if isinstance(value, Sized) else type(value).__name__
+    return f"shape {value.shape}" if hasattr(value, "shape") else shorten(str(value), 60, placeholder=" …")
 
 
 def _lines(blocks: Iterable[Block], where: Where = Where.BRIEF) -> Iterator[str]:

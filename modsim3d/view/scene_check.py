@@ -45,7 +45,7 @@ class SceneCheck(Result):
 def check_scene(scene: Scene | StrPath, out: StrPath | None = None, *, overwrite: bool = False) -> SceneCheck:
     """Check a scene: how each camera looks, which vessels there are, and what is probably not meant.
 
-        print(*modsim3d.check_scene("strait", "strait.png").warnings, sep="\\n")
+        print(modsim3d.check_scene("strait", "strait.png"))
 
     Args:
         scene: A scene, its file, or the name of a shipped scene.

@@ -128,13 +128,13 @@ def blocks() -> list[tuple[int, str]]:
 
 
 def printed() -> set[str]:
-    """The lines that the page shows as printed: from one that begins with `<` to one that ends with `>`."""
-    shown = re.findall(r"```text\n(<.*?>)\n```", PAGE.read_text(encoding="utf-8"), re.S)
+    """The lines that the page shows as printed: of a scene, from `<` to `>`, and of a run."""
+    shown = re.findall(r"```text\n(<.*?>|Run .*?)\n```", PAGE.read_text(encoding="utf-8"), re.S)
     return {line for text in shown for line in without_times(text)}
 
 
 def without_times(text: str) -> list[str]:
-    return re.sub(r"time [0-9.]+ s", "time", text).splitlines()
+    return re.sub(r"time +[0-9.]+ s", "time", text).splitlines()
 
 
 def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:

@@ -108,6 +108,49 @@ def test_all_is_shown_in_few_words_with_a_notebook_table_and_a_frame_as_its_pict
     assert f"detected {np.count_nonzero(truth['detected'])}," in repr(result)
 
 
+INPUTS = {
+    *("LogOptions", "Tracker", "Window", "CameraView", "MomentTable", "Encounter", "ManyDetections", "TrackedFrame"),
+    *("ModsimError", "InputError", "OutputError", "RendererError", "RunDirectoryError"),
+    *("Mean", "MeanRow", "Verdict"),  # parts of a campaign, in a line as they are
+    "SearchResult",  # tests/campaign/test_search.py
+}
+CAMPAIGN = (
+    "scene: simulation_1\nsteps: 2\nseeds: {traffic: 1}\ntrackers: [reference]\nrequire: [{score: hota, at_least: 0}]"
+)
+
+
+def test_every_result_prints_what_its_command_says_in_a_few_lines_and_shows_itself_in_one(
+    shown, scene, folder, frame, verified, learned, tmp_path
+):
+    (tmp_path / "c.yaml").write_text(CAMPAIGN)
+    run, campaign = modsim3d.open_run(folder), modsim3d.run_campaign(tmp_path / "c.yaml", tmp_path / "c", workers=1)
+    tracked, truth = modsim3d.track_run(folder, tmp_path / "t"), modsim3d.check_truth("simulation_1", every=100)
+    check, scores = modsim3d.check_scene(scene), modsim3d.score_run(folder, tmp_path / "t")
+    labels = modsim3d.export(folder, tmp_path / "coco", format="coco")
+    log = data_folder("scenes").parent / "tests/data/ais/danish.csv"
+    boxes, conditions = frame.detections.boxes_px, {"from_condition": "night_clear", "to_condition": "foggy_clear"}
+    others = [
+        *(modsim3d.locate(scene, frame.camera, frame.step, boxes), modsim3d.RunRows.of(run), scene.at(frame.step)),
+        *(frame.id_image(), tracked.tracks, tracked, modsim3d.report(folder, tmp_path / "r.html")),
+        *(modsim3d.check_repeat(folder), modsim3d.plan_campaign("example"), modsim3d.ais(log, tmp_path / "ais")),
+        modsim3d.guess_detector("vessel", tmp_path / "g.yaml", **conditions),
+        modsim3d.detect_truth(labels.path, tmp_path / "d", detector="coastal", horizon=500),
+        modsim3d.reproduce_run(campaign, 0, tmp_path / "again"),
+    ]
+    said = [
+        *((check, "horizon at row"), (verified, "nothing in"), (learned, "IoU of the matches"), (truth, "UNEXPLAINED")),
+        *((scores, scores.conclusion[:40]), (campaign, "hota at least 0: undecided")),
+        (modsim3d.learn_from_figures({"labels": ["boat"], "precision": 0.9, "recall": 0.8}), "Assumed"),
+    ]
+    for each, phrase in [*((each, "") for each in [*shown, *others]), *said]:
+        text, short = str(each), repr(each)
+        assert phrase in text and len(text.splitlines()) <= 45 and "array(" not in text and "(name='" not in text, text
+        assert short.startswith(f"<{type(each).__name__}") and len(short) < 500 and short.count("\n") < 3, short
+    results = {name for name in modsim3d.__all__ if isinstance(getattr(modsim3d, name), type)} - INPUTS
+    given = tuple(type(each) for each in [*shown, *others, *(each for each, _ in said)])
+    assert {name for name in results if not issubclass(getattr(modsim3d, name), given)} == set()
+
+
 def test_a_verified_run_tells_and_writes_its_verdicts_and_names_what_differs(verified, thesis_folder, tmp_path):
     assert verified.obeys and verified.failed == () and "obeys its detector file" in repr(verified)
     json_path, page_path = verified.write(tmp_path / "checked")
