@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from dataclasses import dataclass, field, replace
 from enum import Flag, auto
 from html import escape
+from itertools import zip_longest
 from textwrap import shorten, wrap
 from types import MappingProxyType
 from typing import Literal
@@ -149,14 +150,12 @@ class Document:
 class Result:
     """Base of results: `print` says what the command says, a notebook shows the tables, and `repr` is a line."""
 
-    noun = ""
-
     def _rows(self) -> dict[str, str]:
         """Its parts by name: arrays and tables by their shapes, several things by their number."""
         return {name: _brief(value) for name, value in vars(self).items()}
 
     def _document(self) -> Document:
-        title = f"{self.noun or type(self).__name__} {getattr(self, 'folder', '')}".strip()
+        title = f"{type(self).__name__} {getattr(self, 'folder', '')}".strip()
         return Document(title, (), [Table(title, (), list(self._rows().items()), where=Where.EVERYWHERE)])
 
     def __str__(self) -> str:
@@ -189,7 +188,7 @@ def _lines(blocks: Iterable[Block], where: Where = Where.BRIEF) -> Iterator[str]
                 yield from _lines(block.blocks, where)
             case Table():
                 rows = [*([block.header] if any(block.header) else []), *block.texts]
-                widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+                widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
                 yield from [block.title] if block.title else []
                 yield from ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 

@@ -107,7 +107,6 @@ class TruthResult(Result):
     notes: tuple[str, ...]
     files: tuple[Path, ...]
     seconds: float
-    noun = "Detections"
 
     def _rows(self) -> dict[str, str]:
         counts = self.counts

@@ -69,8 +69,6 @@ class RunResult(Result):
             column = pq.read_table(path, columns=["iou"])["iou"]
         return Overlaps.of(column.drop_null().to_numpy())
 
-    noun = "Run"
-
     def _rows(self) -> dict[str, str]:
         counts = self.counts
         return {

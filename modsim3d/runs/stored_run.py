@@ -53,7 +53,6 @@ class StoredRun(Result):
     steps: int
     stored: StoredTables | None
     made_of: tuple[Path, ...] = ()
-    noun = "Run"
 
     def _rows(self) -> dict[str, str]:
         scene = self.scene

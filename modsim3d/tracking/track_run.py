@@ -58,7 +58,6 @@ class TrackResult(Result):
     seconds: float
     frame_ms: dict[str, float]
     written: tuple[Path, ...]
-    noun = "Tracks"
 
     def _rows(self) -> dict[str, str]:
         counts = self.counts

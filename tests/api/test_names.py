@@ -129,7 +129,7 @@ def blocks() -> list[tuple[int, str]]:
 
 def printed() -> set[str]:
     """The lines that the page shows as printed: of a scene, from `<` to `>`, and of a run."""
-    shown = re.findall(r"```text\n(<.*?>|Run .*?)\n```", PAGE.read_text(encoding="utf-8"), re.S)
+    shown = re.findall(r"```text\n(<.*?>|RunResult .*?)\n```", PAGE.read_text(encoding="utf-8"), re.S)
     return {line for text in shown for line in without_times(text)}
 
 

@@ -13,7 +13,6 @@ from pydantic import Field
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
-from modsim3d.core.document import Result
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.validation import NotNegative, Probability, Strict
 
@@ -52,8 +51,8 @@ class SensedFrame:
     confidence: Array
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class TrackedFrame(Result):
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
     """The tracks that a tracker reports in one frame: k rows in any order; k may be 0.
 
     Attributes:
