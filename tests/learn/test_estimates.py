@@ -24,7 +24,7 @@ from modsim3d.learn.lags import LagTable
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
-from modsim3d.learn.persistence import Consecutive, SightingStretches
+from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation
 from modsim3d.learn.states import Transitions, count_transitions, transitions_of
 from tests.formats.labelled_files import found, images, random_set, truth
 from tests.learn.one_state import learned_in, moored, normal_chain, observed_as, observed_in, of_boats
@@ -338,9 +338,12 @@ def test_what_the_mean_takes_of_a_correlation_is_what_matrices_say():
     stretches = SightingStretches(np.array(counts, dtype=float), np.array([gap_s, gap_s, 0]), np.zeros(3, dtype=int))
     centred = np.eye(71) - 1 / 71
     earlier = np.r_[0:39, 40:69]
+    steps = Steps(earlier, earlier + 1, np.full(68, gap_s))
     for time_s, left in zip(times_s, stretches.correlation_left(times_s), strict=True):
         alone = (np.exp(-gap_s * np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / time_s) for n in counts)
-        covariance = centred @ block_diag(*alone) @ centred
+        whole = block_diag(*alone)
+        assert inflation(steps, 71, time_s) == pytest.approx(whole.sum() / 71)
+        covariance = centred @ whole @ centred
         asked = covariance[earlier, earlier + 1].sum() / covariance[earlier, earlier].sum()
         assert left * np.exp(-gap_s / time_s) == pytest.approx(asked, rel=1e-9)
 

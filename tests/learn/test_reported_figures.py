@@ -92,6 +92,7 @@ def test_average_precision_by_size_makes_small_vessels_missed_more_often() -> No
 @pytest.mark.parametrize(("changes", "message"), [
     ({"recall": None}, "give precision and recall, or a confusion_matrix"),
     ({"recall": 84}, r"recall: must be a share above 0 and up to 1, or one for each label \(got 84\)"),
+    ({"precision": 0}, "precision: must be a share above 0"),
     ({"precision": {"boat": 0.9, "shp": 0.8}}, r"precision: must have a number for each of boat, ship \(got boat"),
     ({"recal": 0.8}, r"recal: unknown key \(did you mean 'recall'\?\)"),
     ({"confusion_matrix": [[9, 1]]}, r"must have 2 or, with background, 3 rows and columns \(got 1 rows of 2\)"),
