@@ -281,10 +281,7 @@ def test_what_is_never_missed_stays_so_and_a_memory_is_as_long_as_its_longest_pa
         found = remembered(keeping({"class_vessel_share": 0.9}, confusion=build.ALL_SEEN), seen(40))
         assert (found.kind == TRUE).sum() == 40 * MEMORY_FRAMES
     monkeypatch.undo()
-    times_s, none = (
-        {"class_s": KEPT_S, "box_s": KEPT_S},
-        {"class_vessel_share": 0.0, "box_vessel_share": 0.0},
-    )
+    times_s, none = {"class_s": KEPT_S, "box_s": KEPT_S}, {"class_vessel_share": 0.0, "box_vessel_share": 0.0}
     plain, off = (remembered(keeping(each), seen(40)) for each in (times_s, times_s | none))
     assert build.all_bytes(plain) == build.all_bytes(off)
     shares, times_s = (0.2, 0.4), (0.3, 0.8)

@@ -171,10 +171,7 @@ def test_frames_of_a_slow_camera_lead_back_to_steps_and_yolo_files_are_read_back
     assert not (written / "labels" / "name_000000.txt").read_bytes()
     assert not (written / "predictions" / "name_000000.txt").read_bytes()
     assert yaml.safe_load((written / "data.yaml").read_text())["names"] == dict(enumerate(LABELS))
-    again, (first, _) = (
-        read_pair("all", written / "labels", written / "predictions"),
-        labelled_run(analytic_run),
-    )
+    again, (first, _) = read_pair("all", written / "labels", written / "predictions"), labelled_run(analytic_run)
     assert again.labels == LABELS
     names = tuple(f"{name.split()[0]}_{int(name.split()[1]):06d}" for name in first.images.names)
     assert again.images.names == names

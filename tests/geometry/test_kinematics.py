@@ -89,11 +89,7 @@ def test_slivers_have_a_union_and_vessels_are_nearest_where_their_relative_track
     distance, when = closest_approach(times, one, other)
     assert (distance, when) == pytest.approx((100 / np.sqrt(2), 105.0))
     times, still = np.arange(4.0), np.zeros((4, 2))
-    for there, expected in (
-        ([1, 1, 0, 0], (30.0, 1.0)),
-        ([0, 0, 0, 1], (50.0, 3.0)),
-        ([1, 0, 1, 1], (2.0, 2.0)),
-    ):
+    for there, expected in (([1, 1, 0, 0], (30.0, 1.0)), ([0, 0, 0, 1], (50.0, 3.0)), ([1, 0, 1, 1], (2.0, 2.0))):
         other = np.where(np.array(there)[:, None], [[40.0, 0.0], [30.0, 0.0], [2.0, 0.0], [50.0, 0.0]], np.nan)
         assert closest_approach(times, still, other) == pytest.approx(expected)
     assert closest_approach(times, still, still + np.array([3.0, 4.0])) == (5.0, 0.0)  # in company

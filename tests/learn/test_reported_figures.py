@@ -83,9 +83,8 @@ def test_average_precision_by_size_makes_small_vessels_missed_more_often() -> No
     assert made.content["dropout"]["size_px"]["per_doubling"] < -0.5
     small, large = (made.figures[name][1] for name in ("ap_small", "ap_large"))
     assert small / large == pytest.approx(1 / 3, abs=0.2) and made.figures["recall"][1] == pytest.approx(0.8, abs=0.01)
-    unknown = modsim3d.learn_from_figures(
-        {**PLAIN, "ap_small": -1, "ap_medium": 0.5, "ap_large": 0.6}
-    )  # as COCO says it
+    as_coco = {**PLAIN, "ap_small": -1, "ap_medium": 0.5, "ap_large": 0.6}
+    unknown = modsim3d.learn_from_figures(as_coco)
     assert unknown.figures["ap_small"][0] is None and unknown.figures["ap_large"][0] == 0.6
 
 

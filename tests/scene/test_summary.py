@@ -41,11 +41,7 @@ def test_a_page_shows_the_lines_that_its_scenes_have(tmp_path: Path, page: str) 
 MEETING = {"a": (BOAT, [[0, 0, 0], [10, 50, 0]]), "b": (BOAT, [[0, 10, 1], [10, 40, 1]])}
 DOUBTS: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "ferry": ({"a": ([14, 86, 20], SLOWLY)}, {}, "vessel 'a' is 14 m long and 86 m wide: are length_m and beam_m"),
-    "millimetres": (
-        {"a": ([0.086, 0.014, 2], SLOWLY)},
-        {},
-        "vessel 'a' is 0.086 m long, and vessels are 1 to 500 m",
-    ),
+    "millimetres": ({"a": ([0.086, 0.014, 2], SLOWLY)}, {}, "vessel 'a' is 0.086 m long, and vessels are 1 to 500 m"),
     "high": ({"a": ([86, 14, 2000], SLOWLY)}, {}, "vessel 'a' is 2000 m high, and vessels are 0.1 to 200 m high"),
     "fast": ({"a": (BOAT, [[0, 0, 0], [10, 400, 0]])}, {}, "vessel 'a' does 40 m/s, and 10 m long it can hardly do"),
     "ship": ({"a": ([300, 40, 50], [[0, 0, 0], [10, 250, 0]])}, {}, "vessel 'a' does 25 m/s, and 300 m long"),

@@ -95,10 +95,7 @@ def test_a_number_beyond_a_bound_has_the_probability_there_and_a_step_of_a_law_a
 
 # ---- Levels, also where the law is cut off at the ends of the range ----
 
-LAWS = {
-    "normal": NormalScores(0.6, 0.3),
-    "quantiles": QuantileScores(np.array([0.1, 0.3, 0.3, 0.7, 1.2])),
-}
+LAWS = {"normal": NormalScores(0.6, 0.3), "quantiles": QuantileScores(np.array([0.1, 0.3, 0.3, 0.7, 1.2]))}
 STEPS = QuantileScores(np.array([0.3, 0.3, 0.5, 0.8, 0.8]))
 
 
