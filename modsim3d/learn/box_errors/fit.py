@@ -60,12 +60,15 @@ class Gate:
 
     def passing(self, model: ErrorModel) -> tuple[Array, Array]:
         """Log-probability to pass of each box, shape (n,), and mean statistics of what fails over it, (n, s)."""
+        from scipy.sparse import csr_array  # slow to import
+
         standard = drawn(model, self.normal)
         fails = _fails(model, self.sample, standard)
-        chance = np.maximum(1 - fails.mean(axis=1), _MIN_PASSING)
-        box, point = np.nonzero(fails)
-        found = model.statistics(standard[box, point])
-        sums = np.stack([np.bincount(box, each, minlength=len(chance)) for each in found.T], axis=1)
+        number = np.count_nonzero(fails, axis=1)
+        chance = np.maximum(1 - number / fails.shape[1], _MIN_PASSING)
+        found = model.statistics(standard[fails])
+        ones, ends = np.ones(len(found)), np.append(0, np.cumsum(number))
+        sums = csr_array((ones, np.arange(len(found)), ends), shape=(len(chance), len(found))) @ found
         lost = sums / fails.shape[1] / chance[:, None]
         return np.append(np.log(chance), 0.0)[self.stands], np.vstack([lost, np.zeros(lost.shape[1])])[self.stands]
 

@@ -216,7 +216,8 @@ class ErrorModel:
         """Terms of the slopes, given standardised errors (..., 4), shape (..., 14 or 15), with mean zero. Values and
         products, with the weights of the distribution, and the slope by ln(ν − 2)."""
         solved = standard @ np.linalg.inv(self.correlation)
-        q = (solved * standard).sum(axis=-1)
+        products = solved * standard
+        q = products[..., 0] + products[..., 1] + products[..., 2] + products[..., 3]  # twice as fast as a sum of four
         weight = np.ones_like(q)
         if self.heavy:
             nu = self.freedom
