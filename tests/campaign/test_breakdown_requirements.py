@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.verdicts.wording import warnings_of
+from modsim3d.campaign.verdicts.wording import score_name, warnings_of
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import rules_of
 from modsim3d.tracking.scores.breakdown import BINS
@@ -79,7 +79,7 @@ def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs
     (verdict,) = judged(plan, rows_with(*rows))
     assert verdict.outcome == "undecided" and "ask for a share of seeds with `in`" in verdict.why
     (warning,) = warnings_of(plan)
-    assert f"a mean of {score} by {group} was not measured to hold" in warning
+    assert f"a mean of {score_name(score)} by {group} was not measured to hold" in warning
 
 
 @pytest.mark.usefixtures("in_this_process")

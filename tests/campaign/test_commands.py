@@ -65,7 +65,7 @@ def test_a_campaign_is_introduced_run_and_judged(modsim3d: Modsim3d, file: Path,
     lines = [" ".join(line.split()) for line in said.out.splitlines()]
     assert f"runs {RUNS} = 2 conditions × 3 traffic seeds × 2 trackers" in lines
     assert "scenes harbour (this traffic only), 20 steps" in lines
-    assert "required mean hota at least 0.01 (95 % confidence)" in lines and f"{RUNS} runs, 4 met" in lines
+    assert "required mean HOTA at least 0.01 (95 % confidence)" in lines and f"{RUNS} runs, 4 met" in lines
     assert "the results hold for this traffic only" in said.err
 
 
@@ -251,7 +251,7 @@ def test_a_tracker_that_reports_nothing_meets_no_score_and_terminal_and_page_say
     assert said.status == 1 and "sort, ? undecided: Over 3 traffic seeds" in text
     assert "No tracks at all would meet it too" in text
     failed = text.partition("2. AssA at least 0.01 resting on 1 %: ✗ failed")[2]
-    assert "late, ✗ failed: Over 3 traffic seeds no run has assa. In 3 runs the tracker" in failed
+    assert "late, ✗ failed: Over 3 traffic seeds no run has AssA. In 3 runs the tracker" in failed
     assert "interval, each end 95 %" in text and "those of the requirements, above" in text
     _, _, means = said.out.partition("Means")
     (line,) = [line for line in means.splitlines() if line.startswith("sort")]

@@ -106,7 +106,7 @@ def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other
     assert [each.outcome for each in done.verdicts] == ["undecided"] * 3
     assert done.verdicts[0].values == {"state": "haze"}
     page = campaign_page(done.folder, done.table, done.verdicts)
-    assert "From where on vessels are known" in page and "vessels known at 1250 m, in 50 % of approaches" in page
+    assert "From where on vessels are known" in page and "vessels known at 1,250 m, in 50 % of approaches" in page
     assert page.count("<title>Vessels of ") + page.count('aria-label="Vessels of 0 to 8 m"') == 1
     again = reproduce_run(done.folder.path, 1, tmp_path / "again")
     assert again.row is not None and again.same and again.row["approaches"] == done.table["approaches"][1].as_py()

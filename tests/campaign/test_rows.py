@@ -302,7 +302,7 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it_and_what_is_empty
     assert lines["200 to 500 m"] == [f"{frames:,}", "6", "1"]
     assert lines["Vessel"] == [f"{table['covered.vessels.Vessel'][0].as_py()}", "6", "1"]
     assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
-    assert lines["5000 m and more"] == ["–", "–", "–"] and re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
+    assert lines["5,000 m and more"] == ["–", "–", "–"] and re.search(r"<li>Range: [^<]*5,000 m and more</li>", page)
     assert re.search(r"<li>Sea: [^<]*moderate \(1.25 to 2.5 m\)", page)
     assert re.search(rf"<li>{RATE}: no draw from ", page)
     assert "there is no own ship that could meet another" in page and "no claim is made about it" in page

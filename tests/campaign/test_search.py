@@ -84,7 +84,7 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_fol
     worst, folder = result.findings[0], result.folder
     assert [each.value for each in result.findings] == sorted(result.table["hota"].drop_null().to_pylist())[:5]
     assert worst.again.startswith(f"modsim3d campaign reproduce {folder.path} {worst.number} --out ")
-    assert f"lowest hota {worst.value:.4g} in trial {worst.number}" in str(result) and str(result).endswith(NO_RATE)
+    assert f"lowest HOTA {worst.value:.3f} in trial {worst.number}" in str(result) and str(result).endswith(NO_RATE)
     run = trial_run(folder.path, worst.number)
     row = row_of(run.number, remade(folder, run.number), folder.keys.score)
     assert (row["hota"], run.condition.values) == (worst.value, worst.values)

@@ -71,7 +71,7 @@ VERDICTS = {
     "a mean fails with the best value for crashed runs": Case(HOTA, around(0.5), "failed", crashed=range(2)),
     "a mean does not fail with the best value for 30": Case(HOTA, around(0.5), "undecided", crashed=range(30)),
     **{f"every run of {seeds} crashed: {requirement}": Case(
-        requirement, [np.nan] * seeds, "failed", {"estimate": None}, (f"no run has {requirement['score']}",),
+        requirement, [np.nan] * seeds, "failed", {"estimate": None}, (f"no run has {requirement['score'].upper()}",),
         range(seeds)) for requirement in (HOTA, GOSPA, LEAST) for seeds in (1, 12)},
     "every run with something to score crashed": Case(HOTA, [np.nan, np.nan], "failed", {"undefined": 1}, crashed=[0]),
     **{f"an infinite value makes a mean infinite and is not dropped: {side}": Case(
@@ -84,7 +84,7 @@ VERDICTS = {
     "a run without a value is no right one and is named if it is left out": Case(
         {**HOTA, "in": 0.5}, [[0.7, 0.7], [0.7, 0.1], [np.nan, 0.7], [np.nan, np.nan]], "undecided",
         {"estimate": 2 / 3, "seeds": 3, "undefined": 1},
-        ("1 run of other traffic seeds without hota left out: 1000002.",), keys=TWO_LOOKS),
+        ("1 run of other traffic seeds without HOTA left out: 1000002.",), keys=TWO_LOOKS),
     "a crashed run leaves a mean without worst value undecided": Case(
         GOSPA, np.arange(10.0), "undecided", {"high": None}, crashed={3}),
     "seeds without a value are counted apart and named": Case(
@@ -137,7 +137,7 @@ SAID = {
     "one seed": (
         {}, HOTA, [0.7], (),
         "Over 1 traffic seed the mean is 0.7; one seed says nothing of how much seeds differ. This plan can never meet "
-        f"it: the lower bound of a mean of hota needs {NEEDED} traffic seeds with a value, and has 1: with fewer it "
+        f"it: the lower bound of a mean of HOTA needs {NEEDED} traffic seeds with a value, and has 1: with fewer it "
         "errs too often; a share of seeds with `in` is exact."),
 }  # fmt: skip
 
@@ -190,7 +190,7 @@ def test_what_a_plan_can_never_meet_is_said_before_it_starts_and_of_the_side_tha
     assert warned(50, {**HOTA, "in": 0.9}, uncertainty="learned") == ""
     for side, best, end, bound in (("at_least", 1.0, "greatest", "lower"), ("at_most", 0.0, "least", "upper")):
         assert f"no number of runs shows that a mean is the {end} possible value" in warned(20, {side: best})
-        assert f"the {bound} bound of a mean of hota needs" in warned(1, {side: 0.5})
+        assert f"the {bound} bound of a mean of HOTA needs" in warned(1, {side: 0.5})
     for requirement, share in (({"at_least": 0.9}, 0.9), ({"at_most": 0.1}, 0.9), ({"at_most": 0.6}, 0.4)):
         needed = int(perfect_seeds(share, 0.95))
         said = f"it needs {needed} traffic seeds even if every score is perfect, and has {needed - 1}"
@@ -297,7 +297,7 @@ def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
     rows = ({"hota": 0.1, "state.haze.hota": hota} for hota in (0.7, None, 0.72, 0.71, 0.7, 0.7))
     (verdict,) = judged(plan, table_of_runs(rows))
     assert (verdict.outcome, verdict.seeds, verdict.undefined) == ("met", 5, 1)
-    assert "1 traffic seed without hota in state haze left out: 1000001. The truth has nothing to score" in verdict.why
+    assert "1 traffic seed without HOTA in state haze left out: 1000001. The truth has nothing to score" in verdict.why
 
 
 def paired_scores(values, score="hota", crashed=(), seeds=None, **keys):
