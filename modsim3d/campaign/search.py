@@ -63,11 +63,9 @@ def sentence(folder: CampaignFolder, table: pa.Table) -> str:
         status: pc.sum(pc.equal(table["status"], status)).as_py() or 0 for status in (CRASHED, search_folder.REFUSED)
     }
     worst = [each for each in findings(folder, table, 1) if each.error is None]
-    found = (
-        f"{word} {score_name(score)} {three_digits(worst[0].value)} in trial {worst[0].number}"
-        if worst
-        else f"no trial has a {score_name(score)}"
-    )
+    found = f"no trial has a {score_name(score)}"
+    if worst:
+        found = f"{word} {score_name(score)} {three_digits(worst[0].value)} in trial {worst[0].number}"
     said = f"{len(table):,} of {search.budget:,} trials: {found}"
     if counts[CRASHED]:
         said += f"; {counts[CRASHED]} crashed"

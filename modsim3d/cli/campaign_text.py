@@ -98,9 +98,8 @@ def _range(values: Range) -> str:
     if values.choices is not None:
         return f"one of {listed([_plain(value) for value in values.choices])}"
     kinds = [kind for kind in ("whole" * values.whole, "log scale" * (values.scale == "log")) if kind]
-    return f"{with_minus(f'{values.low:g}')} to {with_minus(f'{values.high:g}')}" + (
-        f" ({', '.join(kinds)})" if kinds else ""
-    )
+    low, high = (with_minus(f"{end:g}") for end in (values.low, values.high))
+    return f"{low} to {high}" + (f" ({', '.join(kinds)})" if kinds else "")
 
 
 def _plain(value: Any) -> str:

@@ -189,10 +189,9 @@ def _parameters(report: LearnReport) -> Table:
         for place in np.ndindex(*each.estimate.shape):
             value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
             told = np.isfinite([value, low, high]).all()
-            interval = (
-                f"{significant(low)} to {significant(high)}" if told else "not known" if np.isnan(low) else UNKNOWN
-            )
-            rows.append((each.key.at(place), significant(value) if np.isfinite(value) else UNKNOWN, interval))
+            ends = f"{significant(low)} to {significant(high)}"
+            interval = ends if told else "not known" if np.isnan(low) else UNKNOWN
+            rows.append((each.key.at(place), significant(value), interval))
     header = ("number", "learned", f"{in_percent(report.level)} interval")
     return Table("Numbers of the detector file", header, tuple(rows))
 
@@ -355,11 +354,7 @@ def _reality(report: LearnReport) -> list[Block]:
     """Real and simulated numbers where the detector was not learned."""
     rows = () if report.check is None else report.check.comparisons
     cells = [
-        (
-            each.name,
-            *(number(value, 4) for value in (each.real, each.simulated, each.spread)),
-            number(each.p_value, 4) if each.p_value >= 0.0001 else "< 0.0001",
-        )
+        (each.name, *(number(value, 4) for value in (each.real, each.simulated, each.spread, each.p_value)))
         for each in rows
     ]
     said = (

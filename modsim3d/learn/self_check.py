@@ -13,7 +13,7 @@ from scipy import special
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, run_starts
 from modsim3d.core.boxes import centres, iou, sizes
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.text import listed, significant
+from modsim3d.core.text import listed, three_digits
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel, Performance
@@ -84,8 +84,7 @@ class SelfCheck:
             f"{len(differing)} of {len(self.comparisons)} numbers differ from the real results"
         )
         some = [
-            f"{each.name} {significant(each.real, 3)} in place of {significant(each.simulated, 3)}"
-            for each in differing
+            f"{each.name} {three_digits(each.real)} in place of {three_digits(each.simulated)}" for each in differing
         ]
         return f"{checked}{': ' if some else ''}{listed(some) if some else ''}"
 

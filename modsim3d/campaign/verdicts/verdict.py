@@ -312,11 +312,8 @@ def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys
     hopeless = own.lost.any() and np.all(np.isnan(own.means(math.nan))) and not clean
     if hopeless or (estimate == math.inf and requirement.at_most is not None):
         outcome = "failed"
-    said = (
-        f"the mean is {wording.rounded(estimate)}"
-        if estimate is not None
-        else f"no run has {wording.with_name(requirement.what)}"
-    )
+    name = wording.with_name(requirement.what)
+    said = f"the mean is {wording.rounded(estimate)}" if estimate is not None else f"no run has {name}"
     if estimate is not None and runs.lost.any():
         said = f"the mean of the {len(seen):,} with a value is {wording.rounded(estimate)}"
     why = f"Over {counted(len(worst), 'traffic seed')} {said}"

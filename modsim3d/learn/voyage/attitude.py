@@ -107,9 +107,8 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
         raise InputError(source, [problem])
     outside = ((times < 0) | (times > clock.length_s)).mean()
     if outside > 0.5 and np.median(np.diff(times)) > MAX_APART_S and (unit := other_unit(times, clock.length_s)):
-        raise InputError(
-            source, [f"{in_percent(outside)} of its rows are after {scene.title}, of {clock.length_s:g} s{unit}"]
-        )
+        share = f"{in_percent(outside)} of its rows"
+        raise InputError(source, [f"{share} are after {scene.title}, of {clock.length_s:g} s{unit}"])
     _check_headings(times, heading, scene, carriers[0], source)
     return Attitude(carriers[0], times, np.column_stack([angles[:, :2], heading]))
 
