@@ -1,7 +1,7 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
 const VECTOR_S = 360, NM_M = 1852, TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
-const RINGS = { nm: NM_M, cables: NM_M / 10 }, RINGS_ACROSS = 8, RING_EDGE_PX = 14, RADIUS_PX = 11, RADIUS_ROOM_PX = 32;
+const RINGS = { nm: NM_M, cables: NM_M / 10 }, RINGS_ACROSS = 8, RING_EDGE_PX = 14, RADIUS_PX = 11, RADIUS_ROOM_PX = 32, SCALE_BAR_PX = 120;
 
 // The layers of the plan alone: range rings, of which one is shown at a time.
 const PLAN_LAYERS = [
@@ -133,14 +133,14 @@ class Above {
   }
 
   // Circles of round radii about a camera, as many on every step, each with its radius where it is lowest in sight, clear of
-  // vessels where that can be.
+  // vessels and of the scale where that can be.
   rings({ x, y }, unit, vessels) {
     const { context, width, height } = this, [atX, atY] = this.toCanvas(x, y), pixels = RINGS[unit] * this.scale;
     const least = Math.hypot(width, height) / pixels / RINGS_ACROSS, power = 10 ** Math.floor(Math.log10(least));
     const step = [1, 2, 5, 10].find((each) => each * power >= least) * power;
     const farthest = Math.hypot(Math.max(atX, width - atX), Math.max(atY, height - atY)) / pixels;
     const inside = (at, end) => at > RING_EDGE_PX && at < end - RING_EDGE_PX;
-    const clear = ([across, down]) => vessels.every(([a, b]) => Math.abs(a - across) > RADIUS_ROOM_PX || Math.abs(b - down) > RING_EDGE_PX);
+    const clear = ([across, down]) => !(across < SCALE_BAR_PX && down > height - 3 * RING_EDGE_PX) && vessels.every(([a, b]) => Math.abs(a - across) > RADIUS_ROOM_PX || Math.abs(b - down) > RING_EDGE_PX);
     const names = [];
     for (let ring = 1; ring * step < farthest; ring += 1) {
       const radius = ring * step * pixels, seen = [];
