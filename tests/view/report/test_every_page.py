@@ -166,6 +166,9 @@ def test_numbers_and_scores_are_written_in_one_way_on_pages_and_in_terminals(pag
         for name, text in (texts | printed).items():
             found = re.findall(f"^(.*(?:{wrong}).*)$", html.unescape(text), re.M)
             assert not found, (name, what)
+    _, _, compared = texts["learn"].rpartition("Where it was not learned")
+    decimals = re.findall(r"^\d+(?:\.(\d+))? *$", compared.partition("Spread is")[0], re.M)
+    assert len(decimals) >= 4 and {*map(len, decimals)} == {4}  # in columns of real and of simulated numbers
 
 
 WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.open = true);
