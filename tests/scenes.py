@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.io.input_files import data_folder
-from modsim3d.render.id_pass import IdRenderer, Region
+from modsim3d.render.id_pass import Region
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import PixelMasks
 from modsim3d.truth.crosscheck.comparison import mask_of
@@ -44,13 +44,7 @@ def crate(size_m: Sequence[float], place: tuple[float, float], heading_rad: floa
     return Obstacle("crate", (placed(shoebox(), np.array(size_m), np.array([*place, 0.0]), heading_rad),))
 
 
-def outlines_at(
-    boxes: Sequence[Box],
-    intrinsics: Intrinsics = INTRINSICS,
-    mount: Mount | None = None,
-    obstacles: Sequence[Obstacle] = (),
-    **options: Any,
-) -> Outlines:
+def outlines_at(boxes: Sequence[Box], intrinsics=INTRINSICS, mount=None, obstacles=(), **options) -> Outlines:
     """Outlines of vessels at any height, and of obstacles, at one step, with the options of `outline`."""
     positions = np.array([[place for _, place, _ in boxes]], dtype=np.float64).reshape(1, -1, 3)
     headings = np.array([[heading for _, _, heading in boxes]])
@@ -73,9 +67,7 @@ def harbour_of_shoeboxes(**options) -> Scene:
     return Scene.from_dict({**data, "detector": "thesis"}, **options)
 
 
-def drawing_of(
-    places: Sequence[Place], intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None, supersample: int = 1
-) -> Drawing:
+def drawing_of(places: Sequence[Place], intrinsics=INTRINSICS, mount=None, supersample=1) -> Drawing:
     """The cross-check's drawing of what `outlines_of` projects."""
     camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
     present, positions = np.ones(len(places), dtype=bool), np.array([[*place, 0.0] for _, place, _ in places])
@@ -84,9 +76,7 @@ def drawing_of(
     return Drawing.of(triangles, camera.camera_R_world[0], camera.positions_m[0], intrinsics, supersample)
 
 
-def pixel_masks(
-    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
-) -> PixelMasks:
+def pixel_masks(outlines: Outlines, intrinsics: Intrinsics, renderer, row: int, supersample=1) -> PixelMasks:
     """The pixels of one vessel, a row of the outlines, from whole images."""
     size = intrinsics.image_size_px[0] * supersample, intrinsics.image_size_px[1] * supersample
     region = Region.around(outlines.boxes_px[row] * supersample, size)
@@ -165,9 +155,7 @@ def random_scene(rng: np.random.Generator) -> tuple[list[Place], Intrinsics, Mou
     return places, intrinsics, mount
 
 
-def moved(
-    places: Sequence[Place], mount: Mount, turn_rad: float, shift_m: tuple[float, float, float]
-) -> tuple[list[Box], Mount]:
+def moved(places: Sequence[Place], mount: Mount, turn_rad: float, shift_m) -> tuple[list[Box], Mount]:
     """World and camera turned about w3, then shifted: nothing that the camera sees has changed."""
     turn = world_R_vehicle(turn_rad)
     boxes = [(v, tuple(turn @ [*place, 0.0] + shift_m), heading + turn_rad) for v, place, heading in places]

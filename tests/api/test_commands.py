@@ -1,7 +1,6 @@
 """Commands and functions: what the one can do, the other can, and errors of functions name arguments."""
 
 import inspect
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -71,9 +70,7 @@ def test_every_command_has_a_function() -> None:
     (learn_command, modsim3d.learn_detector, set()),
     (learn_voyage_command, modsim3d.learn_voyage, {"registration", "log_options"}),
 ])  # fmt: skip
-def test_functions_that_learn_have_the_options_of_the_command(
-    command: Callable[..., None], function: Callable[..., object], more: set[str]
-) -> None:
+def test_functions_that_learn_have_the_options_of_the_command(command, function, more) -> None:
     options = {OTHER_NAMES.get(name, name) for name in inspect.signature(command).parameters}
     if function is modsim3d.learn_detector:
         options = {"detections" if name == "log" else name for name in options}

@@ -67,14 +67,7 @@ def no_error() -> dict[str, Any]:
     return box_error([0, 0, 0, 0], np.zeros((4, 4)))
 
 
-def make_frames(
-    count: int,
-    camera: str = "C0",
-    first_step: int = 0,
-    image_px: tuple[int, int] = IMAGE_PX,
-    sea: Sequence[float] = ALL_SEA,
-    time_step_s: float = 0.1,
-) -> CameraFrames:
+def make_frames(count: int, camera="C0", first_step=0, image_px=IMAGE_PX, sea=ALL_SEA, time_step_s=0.1) -> CameraFrames:
     times_s = (first_step + np.arange(count)) * time_step_s
     previous_s = (first_step - 1) * time_step_s if first_step else -np.inf
     planes = np.tile(np.asarray(sea, dtype=float), (count, 1))

@@ -287,9 +287,7 @@ def detect_boxes(boxes: list[list[float]], false_positives: dict[str, Any], **st
     return run(false_positives, np.tile(np.array(boxes), (PAIR_FRAMES, 1, 1)), **{"false_discovery_rate": 0.2, **state})
 
 
-def run(
-    false_positives: dict[str, Any], boxes: np.ndarray, seed: int = 1, gates: Any = None, **state: Any
-) -> tuple[Targets, Detections]:
+def run(false_positives: dict[str, Any], boxes: np.ndarray, seed=1, gates=None, **state) -> tuple[Targets, Detections]:
     data = build.one_state_data(**{"confusion": build.ALL_SEEN, "box_error": build.no_error(), **state})
     data |= {"false_positives": {"model": "calibrated"} | false_positives, "gates": gates or {}}
     targets = build.make_targets(boxes)

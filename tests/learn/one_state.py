@@ -83,9 +83,7 @@ def truth_of(frames: int, seed: int, hidden: bool = True) -> LabelledSet:
     return of_boats(pictures, annotations, found([], [], [], [], origin=np.empty(0, dtype=np.int64)))
 
 
-def moored(
-    frames: int, boats: int, columns: int, size_px: tuple[float, float], top_px=200.0, side_px: Any = 60.0, step_s=0.5
-) -> LabelledSet:
+def moored(frames: int, boats: int, columns: int, size_px, top_px=200.0, side_px=60.0, step_s=0.5) -> LabelledSet:
     """Boats that lie 250 px apart in so many columns."""
     image, boat = np.repeat(np.arange(frames), boats), np.tile(np.arange(boats), frames)
     corner = np.column_stack([100 + 250.0 * (boat % columns), top_px + 250.0 * (boat // columns)])

@@ -50,27 +50,15 @@ class Tracked(NamedTuple):
     covariance_px2: Sequence[Sequence[float]] = ((np.nan, np.nan), (np.nan, np.nan))
 
 
-def hand_made(
-    truth: Iterable[tuple],
-    tracks: Iterable[tuple],
-    steps: int,
-    *,
-    cameras: int = 1,
-    states: Sequence[int] | None = None,
-    step_s: float = 1.0,
-    rules: Rules | None = None,
-) -> Scored:
-    """Tracks, as for `Tracked`, held against truth, as for `Seen`. Frame = step × cameras + camera, and every camera
+def hand_made(truth: Iterable[tuple], tracks: Iterable[tuple], steps: int, *, rules=None, cameras=1, **keys) -> Scored:
+    """Tracks, as for `Tracked`, held against truth, as for `Seen`; keys as those of `rows_of`."""
+    return Scored.of(rows_of(truth, steps, cameras=cameras, **keys), tracks_of(tracks, cameras), rules or Rules())
+
+
+def rows_of(truth: Iterable[tuple], steps: int, *, cameras=1, states=None, step_s=1.0) -> RunRows:
+    """The rows of a run with hand-made truth and without detections. Frame = step × cameras + camera, and every camera
     takes a frame at each step, `step_s` apart; `states` are indices of each frame's performance state, all clear if
     None."""
-    rows = rows_of(truth, steps, cameras=cameras, states=states, step_s=step_s)
-    return Scored.of(rows, tracks_of(tracks, cameras), rules or Rules())
-
-
-def rows_of(
-    truth: Iterable[tuple], steps: int, *, cameras: int = 1, states: Sequence[int] | None = None, step_s: float = 1.0
-) -> RunRows:
-    """The rows of a run with hand-made truth and without detections."""
     scene, seen = _scene(steps, cameras, step_s), [Seen(*row) for row in truth]
     named = (STATES[state] for state in states or [0] * (steps * cameras))
     frames = [{**_place(scene, frame), "state": state} for frame, state in enumerate(named)]

@@ -55,9 +55,7 @@ def frame(time_s: float, vessels_m: Any, camera_m: Any, generator: Any, behind_m
     return WorldFrame(CAMERA.name, sensed, located, np.array([*camera_m, HEIGHT_M]), np.eye(3))
 
 
-def steps_of(
-    places: Places, count: int, seed: int | None = 1, *, own_m_s: float = 3.0, behind_m: float = 0.0, ais: Any = None
-) -> Iterator[WorldStep]:
+def steps_of(places: Places, count: int, seed=1, *, own_m_s=3.0, behind_m=0.0, ais=None) -> Iterator[WorldStep]:
     """Steps at which a camera on own ship, which makes way along w1, sees the vessels."""
     generator = None if seed is None else np.random.default_rng(seed)
     for step in range(count):
@@ -115,9 +113,7 @@ def dense_m(time_s: float) -> Any:
 
 
 @both
-def test_a_dense_group_takes_one_expected_measurement_for_each_track_and_frame_and_no_enumeration(
-    model: type[StoneSoupWorld], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dense_group_takes_one_expected_measurement_for_each_track_and_frame_and_no_enumeration(model, monkeypatch):
     expected, predict = [], ExtendedKalmanUpdater.predict_measurement
     counted = lambda *a, **k: expected.append(0) or predict(*a, **k)  # noqa: E731
     monkeypatch.setattr(ExtendedKalmanUpdater, "predict_measurement", counted)

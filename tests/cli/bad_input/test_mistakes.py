@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 import modsim3d
 from modsim3d.io.validation import describe
-from tests.cli.bad_input.builders import Call, foreign, refusal
+from tests.cli.bad_input.builders import foreign, refusal
 from tests.command_line import call as called
 
 SIZE = "image_size_px: [1920, 1080]"
@@ -144,9 +144,7 @@ NUMBERED = [f"{i}-{typed[:18]}" for i, (typed, _, _) in enumerate(MISTAKES)]
 
 
 @pytest.mark.parametrize(("typed", "files", "parts"), MISTAKES, ids=NUMBERED)
-def test_a_mistake_has_one_error_that_names_key_and_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call, run: Path, typed: str, files: Files, parts: Any
-) -> None:
+def test_a_mistake_has_one_error_that_names_key_and_remedy(tmp_path, monkeypatch, call, run, typed, files, parts):
     for name, text in ({"scene.yaml": SCENE} | files).items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         text = text.read_text() if isinstance(text, Path) else text
