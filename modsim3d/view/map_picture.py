@@ -74,7 +74,8 @@ class Map:
             self._marks.append(plan_marks.WorldTrackMarks(self.sheet))
         map_marks.draw_obstacles(self.sheet)
         handles = [self._in_key(artist) for artist in axes.get_legend_handles_labels()[0]]
-        place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}
+        below = {"loc": "outside lower center", "ncols": 5 if birds_eye.estimates is None else 4}
+        place = {"loc": "outside right upper"} if is_high(birds_eye) else below
         self.figure.legend(handles=handles, fontsize=8, frameon=False, **place)
         layout = self.figure.get_layout_engine()
         assert layout is not None

@@ -274,7 +274,9 @@ def test_tracks_in_the_world_lie_where_they_are_in_the_colour_of_the_vessel_that
     covariance = np.where(np.arange(2 * steps)[:, None, None] < steps, [[25.0, 0.0], [0.0, 100.0]], np.nan)
     track = np.repeat([0, 1], steps)
     tracks = WorldTracks.of("t", track, ("A7", "B"), np.tile(times_s, 2), at_m, velocity_m_s, covariance)
-    axes = map_figure(BirdsEye(scene, steps, (0,), PLAN, tracks), 5, 900).axes[0]
+    figure = map_figure(BirdsEye(scene, steps, (0,), PLAN, tracks), 5, 900)
+    axes, (left, _, right, _) = figure.axes[0], extent(figure.legends[0]).bounds
+    assert 0 <= left < right <= 900
     lines = dict(zip(axes.get_legend_handles_labels()[1], axes.get_legend_handles_labels()[0], strict=True))
     crosses = lines["track in the world"]
     colours = [palette.unit_rgb(palette.vessel_colour(0)), palette.unit_rgb(palette.ALARM)]
