@@ -206,7 +206,9 @@ def _names(traffic: AisTraffic, area: _MapArea) -> str:
         name = vessel_name(vessel)
         ((x, y),) = area.place(vessel.places_m[-1:]).tolist()
         wide = LETTER_PX * len(name)
-        for left, base in ((x + 11, y + 4), (x - 11 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20)):
+        places = ((x + 11, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20), (x - 11 - wide, y + 4))
+        westward = np.cos(vessel.headings_rad[-1]) < 0
+        for left, base in places[::-1] if westward else places:  # last on her track
             inside = left >= LEFT and left + wide <= WIDTH - RIGHT and TOP + LINE_PX <= base <= area.height - BOTTOM
             if inside and not any(
                 left < other + length and other < left + wide and abs(base - line) < LINE_PX

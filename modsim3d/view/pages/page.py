@@ -13,7 +13,7 @@ from PIL.Image import Image
 from modsim3d.core import document as doc
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import TABLE_STYLE, facts, table, with_code
+from modsim3d.view.pages.tables import TABLE_STYLE, breaking, facts, table, with_code
 
 # ---- How pages are printed ----
 
@@ -143,7 +143,7 @@ def html_of(block: doc.Block) -> str:
             mark = ' class="bad"' if block.bad else ""
             return f"<h{block.level}{mark}>{html.escape(block.text)}</h{block.level}>"
         case doc.Text(style="code"):
-            return f"<p><code>{html.escape(block.text)}</code></p>"
+            return f"<p><code>{breaking(block.text)}</code></p>"
         case doc.Text():
             mark = f' class="{block.style}"' if block.style else ""
             return f"<p{mark}>{with_code(block.text)}</p>"

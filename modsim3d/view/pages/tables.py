@@ -13,7 +13,7 @@ TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
 td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wrap: anywhere; }
-.whole { white-space: nowrap; }
+.whole, .option { white-space: nowrap; }
 .bar { display: inline-block; width: 3.5rem; height: 0.7rem; margin-right: 0.5rem; border-radius: 2px;
   background: linear-gradient(to right, #3f94c4 calc(100% * var(--share)), var(--empty) 0);
   --empty: color-mix(in srgb, var(--line) 50%, transparent); }
@@ -150,8 +150,9 @@ def facts(rows: Sequence[tuple[str, str]]) -> str:
 
 
 def breaking(text: str) -> str:
-    """Text as HTML in which long words, such as keys and checksums, may be broken."""
-    return _LONG.sub(lambda word: re.sub(r"[./]|\](?=\[)|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), html.escape(text))
+    """Text as HTML in which long words, such as keys and checksums, may be broken, and options of commands may not."""
+    text = re.sub(r"(?<!\S)--[a-z-]+", r'<span class="option">\g<0></span>', html.escape(text))
+    return _LONG.sub(lambda word: re.sub(r"[./]|\](?=\[)|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), text)
 
 
 def with_code(text: str) -> str:

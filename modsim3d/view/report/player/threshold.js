@@ -33,7 +33,8 @@ class Threshold {
     if (least !== this.least || camera !== player.camera || recording !== player.recording) return;
     const below = (list) => list.filter((confidence) => confidence < least).length, lost = below(found.vessels);
     $('leastCounts').textContent = `All frames of ${recording.facts.cameras[camera].name}: ${found.detected - lost} detected, `
-      + `${found.missed + lost} missed, ${found.alarms.length - below(found.alarms)} false positives`;
+      + `${found.missed + lost} missed, ${found.alarms.length - below(found.alarms)} false positives. `
+      + 'Tiles, timeline, moments and tables stay those of all detections.';
   }
 }
 
