@@ -98,7 +98,7 @@ class Story:
 
 WIDTH_PX, ENLARGED = 720, 2.6  # of a picture, and of its text and lines, as a page shows it small
 LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")  # what is true, and what the tracker says
-ABOUT = "White: the true box. With a number: the track. Orange corners: no track."
+ABOUT = "White: the true box. With a number: the track, dashed in orange on nothing. Orange corners: no track."
 
 
 def moment_pictures(rows: RunRows, tracks: Tracks, moment_s: float | None, rules: Rules | None = None) -> list[Image]:

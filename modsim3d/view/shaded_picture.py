@@ -17,7 +17,7 @@ from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.view import palette
 from modsim3d.view.lights import Sector, SeenLight, is_hidden, lights_towards
-from modsim3d.view.pictures.canvas import Canvas, Window
+from modsim3d.view.pictures.canvas import Box, Canvas, Window
 from modsim3d.view.pictures.plain import Solids, occluder_colour
 from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, fogged, palette_of, sun_of
 from modsim3d.world.floating_vessels import GRAVITY_M_S2
@@ -161,6 +161,12 @@ GREEN, DECK = (96, 112, 70), (150, 150, 144)  # of land, and of own ship's deck,
 OVERHEAD = np.array([0.2, -0.3, 1.0])  # to the part of the sky that is brightest apart from the sun, in the world
 
 
+def caption_box(style: RenderStyle, picture: Image.Image) -> Box:
+    """Box of the line that says what weather is drawn, in a corner of a picture, in its pixels."""
+    width, height = Canvas(picture, round(style.enlarged * picture.width)).plate_size(style.caption)
+    return 0, picture.height - height, width, picture.height
+
+
 class ShadedPictureRenderer:
     """Draws shaded pictures in one style. It keeps the backdrop of a camera that does not move."""
 
@@ -199,8 +205,8 @@ class ShadedPictureRenderer:
         if self.style.rain:
             _rain(picture, int(solids.sight.steps[0]))
         if self.style.caption:
-            canvas, text = Canvas(picture, round(self.style.enlarged * picture.width)), self.style.caption
-            canvas.plate(0, picture.height - canvas.plate_size(text)[1], text, palette.INK)
+            canvas = Canvas(picture, round(self.style.enlarged * picture.width))
+            canvas.plate(0, int(caption_box(self.style, picture)[1]), self.style.caption, palette.INK)
         return picture
 
     def _ground(self, rays: Rays, solids: Solids, window: Window) -> _Ground:

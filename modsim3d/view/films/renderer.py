@@ -29,7 +29,7 @@ from modsim3d.view.pictures.id_buffer import ids_picture
 from modsim3d.view.pictures.layers import WEATHER
 from modsim3d.view.pictures.plain import open_id_renderer
 from modsim3d.view.sea_and_sky import RenderStyle
-from modsim3d.view.shaded_picture import ShadedPictureRenderer
+from modsim3d.view.shaded_picture import ShadedPictureRenderer, caption_box
 
 
 class MapFilmRenderer:
@@ -130,7 +130,8 @@ class FilmRenderer:
         camera = several and self._scene.cameras[self._plan.cameras[place]].name
         name = len(self._plan.kinds) > 1 and TITLES.get(kind, kind)
         age = several and _age(step_frames, place)
-        return " · ".join(part for part in (camera, name, age) if part)
+        plain = kind == "detections" and self._shades and not self._plan.boxes_on_scene and WEATHER
+        return " · ".join(part for part in (camera, name, age, plain) if part)
 
     def _panel(self, camera_view: CameraView | None, kind: str, window: Window, step: int) -> Image.Image:
         if camera_view is None:
@@ -139,29 +140,34 @@ class FilmRenderer:
         if kind == "ids":
             return ids_picture(camera_view.solids, window, self._id_renderer, nominal)
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
-        ground = None
+        ground, options = None, dict[str, Any](nominal_width_px=nominal)
         if self._shaded_renderer is not None and self._scene.labels is None and kind != "corners" and on_scene:
             style = self._plan.style.in_state(self._scene, camera_view.frame.state)
             speeds_m_s = ground_speeds(self._scene, camera_view.frame.step)
             ground = self._shaded_renderer.styled(style).picture(camera_view.solids, window, speeds_m_s)
             layers = replace(layers, horizon=False, silhouettes=False)
-        options: dict[str, Any] = {"ground": ground, "nominal_width_px": nominal}
+            options["keep_clear"] = [caption_box(style, ground)]
+        options["ground"] = ground
         if (followed := self._plan.close_up) is not None:
             focus_px, options["wanted"] = np.array(followed.boxes_px[step]), followed.wanted
             return close_up(camera_view, window, focus_px, layers, self._id_renderer, **options)
         return frame_picture(camera_view, window, layers, self._id_renderer, **options)
+
+    @property
+    def _shades(self) -> bool:
+        """Whether a picture shows light and shade."""
+        shaded = self._plan.style.shaded and self._scene.labels is None
+        return shaded and ("scene" in self._plan.kinds or self._plan.boxes_on_scene)
 
     def _head(self, step_frames: StepFrames) -> tuple[str, ...]:
         states = dict.fromkeys(frame.state for frame in step_frames.frames if frame)
         single = len(step_frames.frames) == 1
         camera = self._scene.cameras[self._plan.cameras[0]].name if single else ""
         time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
-        drawn = self._plan.style.shaded and self._scene.labels is None
-        drawn = drawn and ("scene" in self._plan.kinds or self._plan.boxes_on_scene)
         rest = (
             f"detector {', '.join(states)}" if states else "",
             _age(step_frames, 0) if single else "",
-            WEATHER if states and not drawn else "",
+            WEATHER if states and not self._shades else "",
         )
         parts: tuple[str, ...] = (self._scene.name, camera, time, step, *rest)
         if self._plan.close_up is not None:

@@ -83,7 +83,7 @@ class PictureRequest:
         """The layers of a map."""
         if "map" in self.kinds and self.layers is not None:
             return MapLayers.of(self.layers)
-        return PLAN if self.kind == "plan" or self.with_tracks else MAP
+        return PLAN if self.with_tracks else replace(PLAN, tracks=False) if self.kind == "plan" else MAP
 
     def plan(
         self,

@@ -35,7 +35,8 @@ def close_up(
     nominal = options.get("nominal_width_px") or window.size[0]
     length = ARROW_PX * nominal / NOMINAL_PX
     arrow = _arrow(window.corners(focus_px), [window.corners(box) for box in clear_of], window.size, length)
-    picture = frame_picture(camera_view, window, layers, id_renderer, keep_clear=[_place(*arrow, length)], **options)
+    options["keep_clear"] = [*options.get("keep_clear", ()), _place(*arrow, length)]
+    picture = frame_picture(camera_view, window, layers, id_renderer, **options)
     Canvas(picture, nominal).arrow(*arrow, length)
     return picture
 
