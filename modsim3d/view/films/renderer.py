@@ -130,8 +130,7 @@ class FilmRenderer:
         camera = several and self._scene.cameras[self._plan.cameras[place]].name
         name = len(self._plan.kinds) > 1 and TITLES.get(kind, kind)
         age = several and _age(step_frames, place)
-        plain = kind == "detections" and self._shades and not self._plan.boxes_on_scene and WEATHER
-        return " · ".join(part for part in (camera, name, age, plain) if part)
+        return " · ".join(part for part in (camera, name, age) if part)
 
     def _panel(self, camera_view: CameraView | None, kind: str, window: Window, step: int) -> Image.Image:
         if camera_view is None:
@@ -153,21 +152,18 @@ class FilmRenderer:
             return close_up(camera_view, window, focus_px, layers, self._id_renderer, **options)
         return frame_picture(camera_view, window, layers, self._id_renderer, **options)
 
-    @property
-    def _shades(self) -> bool:
-        """Whether a picture shows light and shade."""
-        shaded = self._plan.style.shaded and self._scene.labels is None
-        return shaded and ("scene" in self._plan.kinds or self._plan.boxes_on_scene)
-
     def _head(self, step_frames: StepFrames) -> tuple[str, ...]:
         states = dict.fromkeys(frame.state for frame in step_frames.frames if frame)
         single = len(step_frames.frames) == 1
         camera = self._scene.cameras[self._plan.cameras[0]].name if single else ""
         time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
+        shaded = self._plan.style.shaded and self._scene.labels is None
+        scene_alone = shaded and "scene" in self._plan.kinds
+        drawn = shaded and (self._plan.boxes_on_scene or self._plan.kinds == ("scene",))
         rest = (
             f"detector {', '.join(states)}" if states else "",
             _age(step_frames, 0) if single else "",
-            WEATHER if states and not self._shades else "",
+            WEATHER + " around boxes" * scene_alone if states and not drawn else "",
         )
         parts: tuple[str, ...] = (self._scene.name, camera, time, step, *rest)
         if self._plan.close_up is not None:
