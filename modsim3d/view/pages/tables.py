@@ -35,10 +35,10 @@ _DIGIT, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
 _NUMBER = re.compile(
     r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*|∞)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
 )
-_INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
+_INTERVAL = re.compile(r"\[[^\[\]]+,(?:<i[^<]*</i>)? [^\[\]]+\]")
 _WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
 """An interval of HTML with the spaces before it, which align it and not the number."""
-_UNIT = re.compile(r" ?(?:°|%|px|m|s)(?!\S)")  # behind a number, which it stays with
+_UNIT = re.compile(r"(?: ?(?:°|%|px|m|s)(?![^\s,\])]))?[,\])]?")  # behind a number, which it stays with
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")  # words such as keys and checksums, which may be broken
 _LONGEST = 28  # letters of a cell that is never broken

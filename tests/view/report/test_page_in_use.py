@@ -65,7 +65,7 @@ def test_each_kind_has_a_key_and_the_chosen_moment_plays_again_and_again(browser
         assert browser.after(key, "[player.index, document.querySelector('#kind').value]") == [later[0], kind]
         if len(later) == 1:
             browser.press(key)
-            assert "This is the last" in browser.text("#note")
+            assert "No later" in browser.text("#note")
         else:
             assert browser.after(key, "player.index") == later[1], kind
             browser.press(key, shift=True)

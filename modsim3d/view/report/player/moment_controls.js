@@ -43,7 +43,7 @@ class MomentControls {
     if (kind !== this.kind) this.lookFor(kind);
     const found = this.moments.from(player.index, by);
     if (found) this.show(found);
-    else say(`This is the ${by > 0 ? 'last' : 'first'} ${kindOf(kind).one}`);
+    else say(`No ${by > 0 ? 'later' : 'earlier'} ${kindOf(kind).one}`);
   }
 
   // Show a moment, with its vessel or its first false positive close up; all of the image if that is out of sight.
