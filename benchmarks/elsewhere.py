@@ -18,7 +18,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.self_check import SequencePart, parts_of
 from tests.learn.one_state import drawn_models
 from tests.learn.round_trip import simulate

@@ -17,7 +17,7 @@ from modsim3d.formats.matching import Rule
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.io.input_files import data_folder
-from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.learned_detector import LearnSettings, learn
 from modsim3d.learn.states import Transitions, each_its_own
 from tests.learn.one_state import observed_as
 from tests.learn.round_trip import simulate

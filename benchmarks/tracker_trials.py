@@ -25,7 +25,7 @@ from modsim3d.tracking.scores.association import by_trackeval
 from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.errors import gospa
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
-from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, Scored
 from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import run_tracker, tracked
 from modsim3d.tracks.tracks import Similarity, Tracks, WorldTracks

@@ -18,7 +18,7 @@ from modsim3d.core.errors import ModsimError as ModsimError
 from modsim3d.core.errors import OutputError as OutputError
 from modsim3d.core.errors import RendererError as RendererError
 from modsim3d.core.errors import RunDirectoryError as RunDirectoryError
-from modsim3d.core.written import Written as Written
+from modsim3d.core.written_files import Written as Written
 from modsim3d.detector.file.reading import load_detector as load_detector
 from modsim3d.detector.model import DetectorModel as DetectorModel
 from modsim3d.detector.truncation import truncated_errors as truncated_errors

@@ -40,7 +40,7 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.learned_detector import LearnSettings, learn
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.self_check import parts_of
 from modsim3d.learn.states import each_its_own, transitions_of

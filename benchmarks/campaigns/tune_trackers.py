@@ -22,7 +22,7 @@ import yaml
 from benchmarks.tracker_trials import CENTRE, IOU, SCENES, looks, tracks_of, world_tracks_of
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.association import hota_of, sequence
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored_run import Scored
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.world.scoring import score_world
 

@@ -15,11 +15,11 @@ import numpy as np
 from benchmarks.stand_in.scores import OpenFilm, found_vessels, track_lengths_s
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.tracking.scores.continuity import false_track_lengths_s
-from modsim3d.tracking.scores.scored import stretches
+from modsim3d.tracking.scores.scored_run import stretches
 
 if TYPE_CHECKING:
     from modsim3d.runs.tracker_view import TrackerDetections
-    from modsim3d.tracking.scores.scored import Scored
+    from modsim3d.tracking.scores.scored_run import Scored
 
 Samples = dict[str, Array]
 OF_DETECTIONS = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modsim3d.learn.learned import RICHER
+from modsim3d.learn.learned_detector import RICHER
 from modsim3d.learn.learning import LearnResult, learn_detector
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from modsim3d.tracking.scores.association import clear_of, hota_of, identity_of,
 from modsim3d.tracking.scores.breakdown import association_of_pairs
 from modsim3d.tracking.scores.continuity import false_track_lengths_s
 from modsim3d.tracking.scores.errors import gospa
-from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, Scored
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.tracks import Tracks

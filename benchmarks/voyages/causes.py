@@ -17,7 +17,7 @@ from modsim3d.core.arrays import Mask
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, match
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import Learned, LearnSettings
+from modsim3d.learn.learned_detector import Learned, LearnSettings
 from modsim3d.learn.voyage.learn_voyage import with_sure_boxes
 
 NUMBERS = (STD.format("e_x"), STD.format("e_w"), "persistence.box_s")

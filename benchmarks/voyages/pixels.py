@@ -19,7 +19,7 @@ from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.trials import BY_RULE, LEVEL, REPLICATES, bounds, registration_numbers
 from benchmarks.voyages.wrong_camera import WRONG, really, write_table
 from modsim3d.core.errors import ModsimError
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.learning import learn_detector
 from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
 from modsim3d.learn.voyage.log_to_scene import Correction

@@ -23,7 +23,7 @@ from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Strict, describe
 from modsim3d.learn.bootstrap import Kind, columns_of_one, from_scale, nested, to_scale
 from modsim3d.learn.box_errors.laws import covariance
-from modsim3d.learn.learned import correlated, uncertainty_file
+from modsim3d.learn.learned_detector import correlated, uncertainty_file
 
 MIN_UNITS = 5  # images or runs of frames of a state, below which their spread does not tell how well numbers are known
 
@@ -54,7 +54,7 @@ class LearnedGroup(Strict):
     state: str | None  # name; None: all states
     units: Annotated[int, Field(strict=True, ge=0)]  # images or runs of frames that they rest on
     numbers: list[LearnedNumber]
-    correlations: list[list[float]]  # rows of the lower triangle, see `modsim3d.learn.learned.correlated`
+    correlations: list[list[float]]  # rows of the lower triangle, see `modsim3d.learn.learned_detector.correlated`
 
 
 class LearnedUncertainty(Strict):

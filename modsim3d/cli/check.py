@@ -97,7 +97,7 @@ def _check_campaign(path: Path) -> None:
 
 def _check_detector(path: Path) -> None:
     from modsim3d.detector.file.reading import load_detector
-    from modsim3d.detector.file.unread import dead_lines
+    from modsim3d.detector.file.unread_keys import dead_lines
 
     detector = load_detector(path)
     warnings = list(dead_lines(detector))

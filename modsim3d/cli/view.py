@@ -14,7 +14,7 @@ from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
 
 if TYPE_CHECKING:
-    from modsim3d.core.written import Written
+    from modsim3d.core.written_files import Written
     from modsim3d.runs.stored_run import StoredRun
 
 MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192

@@ -21,7 +21,7 @@ from modsim3d.core.document import Result
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.reading import content_of, parse_detector
-from modsim3d.detector.file.unread import dead_lines
+from modsim3d.detector.file.unread_keys import dead_lines
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
 from modsim3d.formats.reading.builder import ReadOptions, check_whole

@@ -13,7 +13,7 @@ import numpy as np
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, out_file
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
 from modsim3d.detector.file.reading import detector_text, find_detector, load_detector, parse_detector
 from modsim3d.detector.file.schema import with_covariance

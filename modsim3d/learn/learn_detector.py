@@ -16,7 +16,7 @@ from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.io.validation import HORIZON, Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import states as state_maps
 from modsim3d.learn.figures import Figures, Matches, error_shares
-from modsim3d.learn.learned import NEAR_THE_GATE, LearnSettings, barely_matched, check_size, learn, left_out
+from modsim3d.learn.learned_detector import NEAR_THE_GATE, LearnSettings, barely_matched, check_size, learn, left_out
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.report import LearnReport, NearGate
 from modsim3d.learn.self_check import SelfCheck

@@ -22,7 +22,7 @@ from modsim3d.io.input_files import inputs_noted, read_text
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.learn_detector import Clutter, LearnRequest, Method, parse_states
-from modsim3d.learn.learned import uncertainty_file, uncertainty_text
+from modsim3d.learn.learned_detector import uncertainty_file, uncertainty_text
 from modsim3d.learn.report import LearnReport, lead
 from modsim3d.learn.report_page import Sources, document, page_text
 from modsim3d.runs.files.overwrite import read_of_run

@@ -12,7 +12,7 @@ from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import MIN_UNITS, Column
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.figures import ErrorShares, Figures
-from modsim3d.learn.learned import Learned, unknown_numbers
+from modsim3d.learn.learned_detector import Learned, unknown_numbers
 from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import StateMap
 

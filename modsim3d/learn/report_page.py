@@ -15,7 +15,7 @@ from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.box_errors import estimate
 from modsim3d.learn.box_errors.laws import CELLS, ErrorMoments
 from modsim3d.learn.figures import Curve, Figures, Ranking, Rates
-from modsim3d.learn.learned import LearnSettings, models_and_learners
+from modsim3d.learn.learned_detector import LearnSettings, models_and_learners
 from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, overlaps, results
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages import charts, page, provenance

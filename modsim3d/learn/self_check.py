@@ -21,7 +21,7 @@ from modsim3d.detector.records import FALSE_KINDS, ON_VESSEL, CameraFrames, Targ
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet, Results
 from modsim3d.formats.matching import image_pairs, match
 from modsim3d.learn.bootstrap import Entry, resample, with_entries
-from modsim3d.learn.learned import Learned, LearnSettings, choose_form
+from modsim3d.learn.learned_detector import Learned, LearnSettings, choose_form
 from modsim3d.learn.matches import Observed
 from modsim3d.runs.tracker_view import anonymised
 from modsim3d.tracking.scores.association import hota_of, joined_sequence, metrics

@@ -13,7 +13,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.reading import MISS_RATE, find_detector, is_miss_rate, parse_detector, with_miss_rate
 from modsim3d.detector.file.schema import DetectorFile
-from modsim3d.detector.file.unread import unread_settings
+from modsim3d.detector.file.unread_keys import unread_settings
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest, nearest_key

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from modsim3d.detector.file.unread import dead_lines
+from modsim3d.detector.file.unread_keys import dead_lines
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import poses_ashore
 from modsim3d.geometry.kinematics import HullTracks

@@ -18,7 +18,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.oracle import reference_tracks
 from modsim3d.tracking.score_text import Keys, keys_of
-from modsim3d.tracking.scores.scored import Rules
+from modsim3d.tracking.scores.scored_run import Rules
 from modsim3d.tracking.scores.scoring import score_tracks
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked

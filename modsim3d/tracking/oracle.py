@@ -18,7 +18,7 @@ from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.tracker_view import TrackerDetections, anonymised
 from modsim3d.tracking.kalman import MotionEstimates
-from modsim3d.tracking.scores.scored import Rules
+from modsim3d.tracking.scores.scored_run import Rules
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import TrueTracks
 

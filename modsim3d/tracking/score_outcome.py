@@ -13,7 +13,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.oracle import RAW
 from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, keys_of
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode
-from modsim3d.tracking.scores.scored import Rules
+from modsim3d.tracking.scores.scored_run import Rules
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.tracking.world.scoring import WorldScores
 from modsim3d.tracks.tracks import TrackSet

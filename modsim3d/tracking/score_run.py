@@ -18,7 +18,7 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.oracle import reference_tracks
 from modsim3d.tracking.score_outcome import ScoredTracks, TrackScores, WorldTrackScores, conclusion_of
 from modsim3d.tracking.score_text import keys_of
-from modsim3d.tracking.scores.scored import Rules, SetDistance
+from modsim3d.tracking.scores.scored_run import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import score_tracks
 from modsim3d.tracking.world.scoring import IN_METRES, score_world
 from modsim3d.tracks.reading import read_tracks

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from modsim3d.core.text import UNKNOWN, counted
-from modsim3d.tracking.scores.scored import Rules
+from modsim3d.tracking.scores.scored_run import Rules
 from modsim3d.tracking.scores.scoring import Scores
 
 Keys = dict[str, float | int | None]

@@ -22,7 +22,7 @@ from modsim3d.runs.pipeline import detected_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.selection import StepFrames, select
 from modsim3d.runs.stored_run import open_run
-from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, Scored
 from modsim3d.tracking.worst_moment import worst_mistake, worst_moment_s
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Tracks, TrackSet

@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import areas
-from modsim3d.tracking.scores.scored import Scored, frame_lengths_s
+from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s
 
 WINDOW_S = 5.0  # as long as a look at what happens in a film
 LOST, FALSE, SWITCHED = range(3)

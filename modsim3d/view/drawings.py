@@ -9,7 +9,7 @@ from typing import Any
 from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path, out_file
 from modsim3d.core.text import counted
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.overwrite import read_of_run

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.atomic_write import put_in_place
 from modsim3d.io.overwrite_guard import claimed

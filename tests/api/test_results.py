@@ -14,7 +14,7 @@ from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.io.input_files import data_folder
-from modsim3d.learn.learned import RICHER
+from modsim3d.learn.learned_detector import RICHER
 from modsim3d.world.poses.replay import LivePoses
 from tests.command_line import call
 

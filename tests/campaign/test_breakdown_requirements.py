@@ -10,7 +10,7 @@ from modsim3d.campaign.verdicts.wording import score_name, warnings_of
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import rules_of
 from modsim3d.tracking.scores.breakdown import BINS
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored_run import Scored
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.campaigns import campaign_file, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_runs

@@ -22,7 +22,7 @@ from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.core.arrays import Array
 from modsim3d.detector.file.reading import with_miss_rate
 from modsim3d.detector.model import ERROR_PAIRS
-from modsim3d.learn.learned import correlated
+from modsim3d.learn.learned_detector import correlated
 from modsim3d.runs.files.tables import flags
 from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign, problems_of, run_campaign_file

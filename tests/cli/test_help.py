@@ -13,7 +13,7 @@ import pytest
 import typer
 
 from modsim3d.cli.main import COMMANDS, GROUPS, OLD_NAMES, app
-from modsim3d.learn.learned import RICHER
+from modsim3d.learn.learned_detector import RICHER
 from tests.cli.conftest import Modsim3d
 
 GROUP: Any = typer.main.get_command(app)

@@ -11,7 +11,7 @@ from modsim3d.detector.chain import MODELS, DetectorPart, model_name, used_model
 from modsim3d.detector.draws import Normal, StudentT
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveRates, FrameCounts, PerImage, RateKey
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.learn.learned import LEARNERS, models_and_learners
+from modsim3d.learn.learned_detector import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
 from modsim3d.verify.verification import CHECKED, unchecked, verify_evidence

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import file_of, load_detector, parse_detector, shipped_detectors
 from modsim3d.detector.file.schema import DetectorFile
-from modsim3d.detector.file.unread import dead_lines, unread_settings
+from modsim3d.detector.file.unread_keys import dead_lines, unread_settings
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.io.strict_text import load_yaml

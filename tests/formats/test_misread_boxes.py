@@ -365,7 +365,7 @@ def test_numbers_of_frames_are_held_against_the_sequence_and_options_that_do_not
 
 def test_numbers_of_classes_that_differ_get_one_name_and_a_track_in_place_of_a_confidence_is_named(tmp_path):
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-    from modsim3d.learn.learned import LearnSettings
+    from modsim3d.learn.learned_detector import LearnSettings
 
     labelled = read_mot(tmp_path, found_tail="0.9,8,-1,-1")
     told = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions()).remarks

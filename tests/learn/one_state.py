@@ -13,7 +13,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
+from modsim3d.learn.learned_detector import Learned, LearnSettings, learn, uncertainty_text
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.self_check import simulated
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of

@@ -25,7 +25,7 @@ from modsim3d.learn.box_errors.laws import ErrorSample, choose_law, heavy_tails,
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, OUTWARD, ErrorModel, MatchedEdges, Unit, fit_student_t
 from modsim3d.learn.box_errors.persistence import correlation_left
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned_detector import LearnSettings
 from modsim3d.learn.matches import ErrorFits
 from modsim3d.learn.report_page import tables
 from modsim3d.learn.states import each_its_own

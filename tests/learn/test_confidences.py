@@ -18,7 +18,7 @@ from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
 from modsim3d.learn.confidence_laws import Inflation
-from modsim3d.learn.learned import Learned, uncertainty_text
+from modsim3d.learn.learned_detector import Learned, uncertainty_text
 from modsim3d.learn.self_check import simulated
 from tests.formats.labelled_files import found, images, truth
 from tests.learn import round_trip

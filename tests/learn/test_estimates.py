@@ -21,7 +21,7 @@ from modsim3d.learn.confidence_laws import LearnedNormal
 from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.figures import ErrorKind, Matches, error_shares
 from modsim3d.learn.lags import LagTable
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation

@@ -23,7 +23,7 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LEARNERS, RICHER, LearnSettings
+from modsim3d.learn.learned_detector import LEARNERS, RICHER, LearnSettings
 from modsim3d.learn.report import NearGate
 from modsim3d.learn.report_page import tables
 from tests.detector.test_parts import WITHOUT_LEARNER

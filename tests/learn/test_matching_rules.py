@@ -14,7 +14,7 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.figures import Curve, ErrorKind, Ranking, error_shares
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import RICHER, LearnSettings
+from modsim3d.learn.learned_detector import RICHER, LearnSettings
 from tests.formats.labelled_files import found, images, random_set, truth
 from tests.learn.one_state import of_boats
 from tests.learn.round_trip import command, simulate

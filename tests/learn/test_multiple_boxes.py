@@ -7,7 +7,7 @@ import pytest
 
 from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.file.unread import dead_lines
+from modsim3d.detector.file.unread_keys import dead_lines
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco

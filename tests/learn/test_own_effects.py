@@ -13,7 +13,7 @@ from modsim3d.detector.persistence import BoxMemory, LatentScore
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.match_types import NAMES
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.misses import own_effects

@@ -16,7 +16,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn import self_check as learning_check
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned_detector import LearnSettings
 from modsim3d.learn.match_types import NAMES
 from modsim3d.learn.self_check import RealityComparison, hota_counts, self_check, simulated
 from tests.formats.labelled_video.videos import coco, write

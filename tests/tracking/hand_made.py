@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from modsim3d import RunRows, Scene, Tracks
 from modsim3d.runs.files.table_columns import schema_of
-from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, Scored
 from tests.scenes import camera_keys
 
 VESSELS = 6

@@ -18,7 +18,7 @@ from modsim3d.formats.writing import mot
 from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.tracking.kalman import MotionEstimates
 from modsim3d.tracking.scores.association import by_trackeval, sequence
-from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, Scored
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame
 from modsim3d.tracking.trackers.reference import ReferenceTracker
 from modsim3d.tracks.tracks import Similarity

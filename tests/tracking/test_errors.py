@@ -22,7 +22,7 @@ from stonesoup.types.track import Track
 from modsim3d.core.errors import ModsimError
 from modsim3d.tracking.scores import errors
 from modsim3d.tracking.scores.errors import Siap, siap
-from modsim3d.tracking.scores.scored import LARGEST_CUTOFF, Rules, SetDistance
+from modsim3d.tracking.scores.scored_run import LARGEST_CUTOFF, Rules, SetDistance
 from modsim3d.tracks.tracks import Similarity
 from tests.tracking.hand_made import box, hand_made, placed
 

@@ -11,7 +11,7 @@ from modsim3d.tracking.score_page import _cells
 from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity, false_track_lengths_s
 from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival, within
-from modsim3d.tracking.scores.scored import Scored, frame_lengths_s
+from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s
 from modsim3d.view.pages.tables import table
 from tests.tracking.hand_made import LABELS, Seen, box, hand_made, placed
 

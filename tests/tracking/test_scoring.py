@@ -19,7 +19,7 @@ from modsim3d.tracking.score_outcome import remarks_of, score_data
 from modsim3d.tracking.score_page import score_page, seed_rows, survived_of
 from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, keys_of, percent
 from modsim3d.tracking.scores.breakdown import Bin
-from modsim3d.tracking.scores.scored import Rules
+from modsim3d.tracking.scores.scored_run import Rules
 from modsim3d.tracking.scores.scoring import Scores, SubsetScores, score_tracks
 from modsim3d.tracks.tracks import Tracks, TrackSet
 from modsim3d.tracks.true_tracks import TrueTracks

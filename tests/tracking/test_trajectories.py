@@ -8,7 +8,7 @@ import pytest
 
 from modsim3d import RunRows, Tracks
 from modsim3d.tracking.lookout import LOST_S, approaches, tracks_in_images, tracks_in_world
-from modsim3d.tracking.scores.scored import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, Scored
 from modsim3d.tracking.scores.trajectories import TrajectorySets, ospa2, t_gospa
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
 from tests.scenes import camera_keys

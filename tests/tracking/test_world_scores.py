@@ -12,7 +12,7 @@ from modsim3d import ModsimError, RunRows, StoredRun, score_run
 from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.scores.errors import nees
-from modsim3d.tracking.scores.scored import SetDistance
+from modsim3d.tracking.scores.scored_run import SetDistance
 from modsim3d.tracking.world.following import WorldTruth
 from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import TrackEstimates, WorldTracks

@@ -1,6 +1,6 @@
 """The moment at which a run went wrong, on hand-made truth and tracks."""
 
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored_run import Scored
 from modsim3d.tracking.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_mistake, worst_moment_s
 from tests.tracking.hand_made import box, hand_made
 

@@ -21,7 +21,7 @@ from modsim3d.campaign.work.row import DONE
 from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
 from modsim3d.core.paths import StrPath, out_file
 from modsim3d.core.text import counted, three_digits, with_minus
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.view.pages import charts

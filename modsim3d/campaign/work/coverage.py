@@ -16,7 +16,7 @@ from modsim3d.runs.pipeline import block_ranges
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OCCLUDED_BELOW
-from modsim3d.tracking.scores.scored import frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import frame_lengths_s, stretches
 from modsim3d.tracking.world.collision import ENCOUNTER_M
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, appearances
 from modsim3d.world.encounters import Encounter, encounter, hull_tracks

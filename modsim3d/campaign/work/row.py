@@ -22,7 +22,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.lookout import approaches, tracks_in_images, tracks_in_world
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.breakdown import BINS, Group
-from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
+from modsim3d.tracking.scores.scored_run import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
 from modsim3d.tracking.world.scoring import score_world

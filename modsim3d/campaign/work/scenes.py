@@ -20,7 +20,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.io.input_files import data_folder, file_sha256
 from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.io.validation import shown
-from modsim3d.learn.learned import uncertainty_file
+from modsim3d.learn.learned_detector import uncertainty_file
 from modsim3d.runs.run import VERSIONED
 from modsim3d.scene.reading import find_scene, load_scene, shipped_scenes
 from modsim3d.scene.scene import Scene

@@ -20,7 +20,7 @@ from modsim3d.campaign.work.layers import CACHE_FOLDER, RunLayers
 from modsim3d.campaign.work.row import CRASHED, SAID, crashed_row, error_and_said, row_of, table_of
 from modsim3d.campaign.work.scenes import changed_files, digest
 from modsim3d.core.errors import InputError, ModsimError, OutputError
-from modsim3d.detector.file.unread import unread_settings
+from modsim3d.detector.file.unread_keys import unread_settings
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.io.validation import shown

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 
 if TYPE_CHECKING:  # the command's help shows the formats, and needs no run
     from modsim3d.runs.camera_sequences import CameraSequence

@@ -14,7 +14,7 @@ from modsim3d.core.text import counted
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.bootstrap import Entry, spread
 from modsim3d.learn.box_errors.laws import LearnedErrors, covariance, moments
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.matches import ErrorSource, Pairs
 from modsim3d.learn.persistence import frame_interval_s, steps_between
 from modsim3d.learn.report import LearnReport

@@ -14,7 +14,7 @@ from modsim3d.core.text import counted
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.io.input_files import inputs_noted
 from modsim3d.learn.learn_detector import MIN_CONFIDENCE, Clutter, LearnOptions, LearnRequest, parse_states
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned_detector import LearnSettings
 from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.report_page import Sources

@@ -15,7 +15,7 @@ from modsim3d.formats.matching import match
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned_detector import LearnSettings
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.states import each_its_own, parse_states

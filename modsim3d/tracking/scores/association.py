@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.errors import ModsimError
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored_run import Scored
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import TrueTracks
 

@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, ranges
 from modsim3d.core.boxes import areas
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionSpans, Survival, within
-from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scored_run import Scored
 
 NEAR_S = 2.0  # so long before and after an occlusion is a phase of its own
 PHASES = ("before", "during", "after", "elsewhere")  # of an occlusion

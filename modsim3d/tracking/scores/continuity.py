@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s, stretches
 
 _HOUR_S = 3600.0
 

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.boxes import centres, errors_between
-from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s, stretches
 
 _MIN_CONDITION = 1e-12
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
-from modsim3d.tracking.scores.scored import Histories, Scored, frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import Histories, Scored, frame_lengths_s, stretches
 
 OCCLUDED_BELOW = 0.5  # a vessel is occluded while less than this share of its silhouette in the image is visible
 BEFORE_S = 1.0  # the track before is the last that followed the vessel within this time before its occlusion

@@ -13,7 +13,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.detector_seeds import LEVEL
 from modsim3d.tracking.scores.errors import GospaParts, mean_gospa, nees_or_infinity
-from modsim3d.tracking.scores.scored import SetDistance
+from modsim3d.tracking.scores.scored_run import SetDistance
 from modsim3d.tracking.scores.trajectories import TGospaParts, TrajectorySets, ospa2, t_gospa
 from modsim3d.tracking.world.collision import (
     ENCOUNTER_M,

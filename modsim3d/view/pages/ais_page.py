@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.core.document import Block, Document, Heading, Items, Result, Table, Text, Where
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import UNKNOWN, counted, percent_of
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 from modsim3d.detector.file.reading import find_detector, load_detector
 from modsim3d.io.overwrite_guard import check_free, locked_folder
 from modsim3d.scene.ais.gathering import SHOWN_PROBLEMS

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path, out_file
-from modsim3d.core.written import Written
+from modsim3d.core.written_files import Written
 from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.selection import check_every

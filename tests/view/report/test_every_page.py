@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from modsim3d import InputError, RunRows, load_scene, open_run, run_scene
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned_detector import LearnSettings
 from modsim3d.learn.report_page import Sources
 from modsim3d.view.pages.provenance import CHANGED, Provenance, file_input, run_inputs, top_line
 from tests.campaign.campaigns import run_campaign_file

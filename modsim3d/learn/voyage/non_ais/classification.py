@@ -18,7 +18,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, Rule, image_pairs, match
 from modsim3d.io.validation import shown
 from modsim3d.learn.bootstrap import Column, Entry, Resampling, ratio, resample, run_length_s, with_entries
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, utc_s
 from modsim3d.learn.voyage.non_ais import linking

@@ -12,7 +12,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.learn.bootstrap import Column, Entry, Key
-from modsim3d.learn.learned import RICHER
+from modsim3d.learn.learned_detector import RICHER
 from modsim3d.learn.voyage.deconvolution import less_noise, share_left, take_off_truth_noise, time_left
 from modsim3d.learn.voyage.reference_error import PARAMETERS, TruthErrors, TruthNoise, View, box_jacobians
 from modsim3d.scene.ais.scene_folder import REPORT

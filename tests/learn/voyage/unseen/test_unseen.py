@@ -10,7 +10,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import Annotations, Results
 from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import RICHER, LearnSettings
+from modsim3d.learn.learned_detector import RICHER, LearnSettings
 from modsim3d.learn.self_check import simulated
 from modsim3d.learn.voyage.non_ais.classification import RateSource, TimeSpan, classify_unmatched, parse_stretches
 from modsim3d.learn.voyage.report import learn_beside_unseen, rows_of, sentences
