@@ -32,7 +32,7 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.running import TASK_S, run_plan
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layers import Made, TruthLayer
+from modsim3d.campaign.work.layers import LayeredRun, TruthLayer
 from modsim3d.campaign.work.row import row_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, TaskReport, Work, store
@@ -103,7 +103,7 @@ def layer_costs(file: Path, seeds: int) -> tuple[dict[str, LayerCost], int]:
                         tracker = named_tracker(each.tracker.tracker, each.tracker.settings, scene.name)
                         tracks = run_tracker(tracker, rows).tracks
                     with timed("scores", each):
-                        row_of(each.number, Made(rows, tracks, "", "", ""), rules)
+                        row_of(each.number, LayeredRun(rows, tracks, "", "", ""), rules)
     costs = {name: LayerCost(statistics.median(found), len(found)) for name, found in times.items()}
     return costs, seeds * plan.runs_by_seed
 

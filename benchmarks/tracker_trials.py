@@ -25,7 +25,7 @@ from modsim3d.tracking.scores.association import by_trackeval
 from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.errors import gospa
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import run_tracker, tracked
 from modsim3d.tracks.tracks import Similarity, Tracks, WorldTracks
@@ -116,7 +116,7 @@ def tracks_lost_when_hidden(rows: RunRows) -> Tracks:
 def scores(rows: RunRows, tracks: Tracks, *, annotated: bool = False) -> dict[str, Any]:
     """What the tables are made of; against the annotated truth in place of the full one if that is asked for."""
     truth: TruthName = "annotated" if annotated else "full"
-    scored, by_centre = (Scored.of(rows, tracks, replace(rules, truth=truth)) for rules in (IOU, CENTRE))
+    scored, by_centre = (ScoredRun.of(rows, tracks, replace(rules, truth=truth)) for rules in (IOU, CENTRE))
     (association, clear, identity), (centre, _, _) = by_trackeval(scored), by_trackeval(by_centre)
     states = rows.scene.detector.states
     lasting = continuity(scored)

@@ -23,7 +23,7 @@ import numpy as np
 import shapely
 
 from modsim3d.render.id_pass import IdRenderer
-from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.crosscheck.comparison import CheckCounts
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.rendered import rendered_occlusion, rendered_spans
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
@@ -52,7 +52,7 @@ class Tally:
     largest_side_at_a_tip_px: float = 0.0
     visible_at_all_differs: int = 0
     pixels_looked_at: int = 0
-    drawn: Checked = field(default_factory=Checked)
+    drawn: CheckCounts = field(default_factory=CheckCounts)
     differs_from_drawn: int = 0
     unexplained: list[dict[str, Any]] = field(default_factory=list)
 

@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.tracker_trials import mean_and_interval
 from modsim3d.campaign.keys import CampaignKeys, SearchKeys
 from modsim3d.campaign.plan import Plan, at
-from modsim3d.campaign.search_folder import Tried, batches, planned_trial, proposed
+from modsim3d.campaign.search_folder import TriedPoint, batches, planned_trial, proposed
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import row_of
 
@@ -102,10 +102,10 @@ def scorer(keys: CampaignKeys, layers: RunLayers) -> Callable[[int, dict[str, An
 
 def searched(keys: CampaignKeys, layers: RunLayers) -> list[float | None]:
     """The scores of a search, in order."""
-    search, score, tried = _search(keys), scorer(keys, layers), list[Tried]()
+    search, score, tried = _search(keys), scorer(keys, layers), list[TriedPoint]()
     for batch in range(batches(search)):
         points = proposed(search, keys.seed, batch, tried)
-        tried += [Tried(point, score(point.seed_index, point.values(search.over))) for point in points]
+        tried += [TriedPoint(point, score(point.seed_index, point.values(search.over))) for point in points]
     return [each.value for each in tried]
 
 

@@ -22,7 +22,7 @@ import yaml
 from benchmarks.tracker_trials import CENTRE, IOU, SCENES, looks, tracks_of, world_tracks_of
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.association import hota_of, sequence
-from modsim3d.tracking.scores.scored_run import Scored
+from modsim3d.tracking.scores.scored_run import ScoredRun
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.world.scoring import score_world
 
@@ -118,7 +118,9 @@ def quality(runs: Sequence[RunRows], tracker: str, settings: Mapping[str, object
         return -float(np.mean([each or 0.0 for each in found]))
     every = [(rows, tracks_of(rows, tracker, settings)) for rows in runs]
     return float(
-        np.mean([hota_of(sequence(Scored.of(*each, rules))).hota or 0.0 for each in every for rules in (IOU, CENTRE)])
+        np.mean(
+            [hota_of(sequence(ScoredRun.of(*each, rules))).hota or 0.0 for each in every for rules in (IOU, CENTRE)]
+        )
     )
 
 

@@ -19,7 +19,7 @@ from modsim3d.tracking.scores.scored_run import stretches
 
 if TYPE_CHECKING:
     from modsim3d.runs.tracker_view import TrackerDetections
-    from modsim3d.tracking.scores.scored_run import Scored
+    from modsim3d.tracking.scores.scored_run import ScoredRun
 
 Samples = dict[str, Array]
 OF_DETECTIONS = {
@@ -54,7 +54,7 @@ def of_detections(opened: OpenFilm, detections: TrackerDetections) -> Samples:
     }
 
 
-def of_tracks(opened: OpenFilm, scored: Scored) -> Samples:
+def of_tracks(opened: OpenFilm, scored: ScoredRun) -> Samples:
     """The values of each of `OF_TRACKS` in a film."""
     return {
         "track_s": track_lengths_s(opened, scored.following.tracks),

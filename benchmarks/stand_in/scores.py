@@ -25,7 +25,7 @@ from modsim3d.tracking.scores.association import clear_of, hota_of, identity_of,
 from modsim3d.tracking.scores.breakdown import association_of_pairs
 from modsim3d.tracking.scores.continuity import false_track_lengths_s
 from modsim3d.tracking.scores.errors import gospa
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.tracks import Tracks
@@ -177,16 +177,16 @@ def _confident(detections: TrackerDetections, threshold: float) -> TrackerDetect
     return detections.take(detections.confidence >= threshold)
 
 
-def scored_tracks(opened: OpenFilm, detections: TrackerDetections, tracker: str) -> Scored:
+def scored_tracks(opened: OpenFilm, detections: TrackerDetections, tracker: str) -> ScoredRun:
     """Run a tracker over the detections of a film, and match its tracks with the truth."""
     named = named_tracker(tracker, {}, SETTINGS_OF.get(opened.film.place))
     tracks = tracked(named, [replace(opened.sequence, detections=detections)], (0,), opened.rows.scene)
-    return Scored(
+    return ScoredRun(
         opened.rows, RULES, follow(opened.truth, tracks, RULES.similarity, opened.rows.regions), opened.rows.frames
     )
 
 
-def scores_of(opened: OpenFilm, scored: Scored) -> dict[str, float]:
+def scores_of(opened: OpenFilm, scored: ScoredRun) -> dict[str, float]:
     """The scores of a tracker on a film by their keys; NaN where one is undefined."""
     data, least = sequence(scored), RULES.similarity.least
     hota, clear = hota_of(data), clear_of(data, least)
@@ -211,7 +211,7 @@ def track_lengths_s(opened: OpenFilm, tracks: Tracks) -> Array:
     return np.asarray(np.bincount(tracks.identity), dtype=np.float64) * opened.period_s
 
 
-def recall_of_bins(opened: OpenFilm, scored: Scored) -> dict[str, dict[str, float]]:
+def recall_of_bins(opened: OpenFilm, scored: ScoredRun) -> dict[str, dict[str, float]]:
     """Of the vessel-frames of each of `BINS`: share that a track follows, and their mean association; NaN of none."""
     found, association = association_of_pairs(scored)
     chosen = bins_of(opened, scored.truth)

@@ -15,7 +15,7 @@ from modsim3d.campaign.campaign import Campaign, check_files, rows_of
 from modsim3d.campaign.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.search_folder import trial_run
-from modsim3d.campaign.work.layers import Made, RunLayers
+from modsim3d.campaign.work.layers import LayeredRun, RunLayers
 from modsim3d.campaign.work.row import DONE, error_and_said, row_of, rules_of, search_versions
 from modsim3d.campaign.work.scenes import Scenes, tracker_of, versions
 from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
@@ -84,7 +84,7 @@ def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
     return None
 
 
-def remade(folder: CampaignFolder, number: int) -> Made:
+def remade(folder: CampaignFolder, number: int) -> LayeredRun:
     """Layers of a run, made again or read where they are kept; ModsimError if there is no such run, or it fails."""
     run, work = planned_run(folder, number), folder.work
     with closing(RunLayers(work.keys.model_copy(update={"keep": []}), Path(work.base), work.layers)) as layers:
@@ -206,7 +206,7 @@ def _row(
         found = track_run(stored, tracks, tracker=named, overwrite=overwrite).tracks
     else:
         reused.append(tracks)
-    made = Made(RunRows.of(stored), found, "", "", "")
+    made = LayeredRun(RunRows.of(stored), found, "", "", "")
     return row_of(run.number, made, work.keys.score, work.keys.lookout)
 
 

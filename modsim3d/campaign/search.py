@@ -144,7 +144,7 @@ class _Trials:
 
     def make_all(self) -> None:
         """Make all trials, a batch after another."""
-        search, known = self._search, list[search_folder.Tried]()
+        search, known = self._search, list[search_folder.TriedPoint]()
         for batch in range(search_folder.batches(search)):
             points = search_folder.stored_batch(self._folder, batch)
             if points is None:

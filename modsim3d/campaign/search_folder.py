@@ -86,7 +86,7 @@ def _rounded(values: Range, place: float | int) -> float | int:
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedPoint:
     """A point and what came of it."""
 
     point: Point
@@ -94,7 +94,7 @@ class Tried:
     crashed: bool = False
 
 
-def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[Tried]) -> list[Point]:
+def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[TriedPoint]) -> list[Point]:
     """Points of a batch, where `tried` has all points of the batches before it. The points of one batch keep away from
     each other: each counts as bad until its score is known (`constant_liar`). The estimator avoids points without a
     score. Crashed runs do not steer it, or the rest of the budget would be spent on one crash."""
@@ -112,7 +112,7 @@ def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[Tried]) 
     return [point_of(study.ask(space).params, search) for _ in range(count)]
 
 
-def _trial(tried: Tried, search: SearchKeys) -> FrozenTrial:
+def _trial(tried: TriedPoint, search: SearchKeys) -> FrozenTrial:
     from optuna.trial import TrialState, create_trial
 
     scored = TrialState.PRUNED if tried.value is None else TrialState.COMPLETE
@@ -176,11 +176,11 @@ def told_apart(row: Mapping[str, Any], run: PlannedRun, scenes: Scenes) -> dict[
     return dict(row)
 
 
-def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> Tried:
+def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> TriedPoint:
     """Result at a point of the search."""
     value = row.get(score_of(search)) if row["status"] == DONE else None
     known = value is not None and math.isfinite(value)
-    return Tried(point, value if known else None, row["status"] == CRASHED)
+    return TriedPoint(point, value if known else None, row["status"] == CRASHED)
 
 
 VALUES = "values"  # column with the values of the keys that were searched, as JSON

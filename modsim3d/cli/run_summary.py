@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts
     from modsim3d.runs.run import RunResult
     from modsim3d.scene.scene import Scene
-    from modsim3d.truth.crosscheck.comparison import Checked
+    from modsim3d.truth.crosscheck.comparison import CheckCounts
 
 Row = tuple[str, str, str]  # name, value and meaning
 CAMERA_HEADER = (
@@ -75,7 +75,7 @@ def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     return rows + _check_rows(scene, result.checked) + _time_rows(result)
 
 
-def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
+def _check_rows(scene: Scene, checked: CheckCounts | None) -> list[Row]:
     """Row on what the cross-check compared: of the truth that was kept, if the detector alone has run."""
     if checked is None:
         return []

@@ -56,7 +56,7 @@ def wrapped(text: str, width: int) -> list[str]:
 
 
 @dataclass
-class Asked:
+class Verbosity:
     """Amount of output that the command line asks for."""
 
     quiet: bool = False  # nothing but warnings and errors
@@ -64,7 +64,7 @@ class Asked:
     json: bool = False  # the result as JSON on standard output, and no text there
 
 
-_asked = Asked()
+_asked = Verbosity()
 
 
 def start_afresh() -> None:

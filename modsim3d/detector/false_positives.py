@@ -69,7 +69,7 @@ class FalsePositiveModel(ABC):
         return poisson_quantile(uniforms[:, 0], share * self.means(rates, frames))
 
 
-class Calibrated(FalsePositiveModel):
+class CalibratedNumber(FalsePositiveModel):
     """As many false positives as give the false discovery rate in the file. With n detections of vessels in a frame and
     a Poisson number of mean n·FDR / (1 − FDR), the share of false positives among all detections, summed over frames,
     is FDR. Second boxes of vessels are false as well, so the mean number of others is reduced by theirs. The number at
@@ -125,7 +125,7 @@ class Thesis(FalsePositiveModel):
 
 
 FALSE_POSITIVE_MODELS: Mapping[str, FalsePositiveModel] = {
-    "calibrated": Calibrated(),
+    "calibrated": CalibratedNumber(),
     "thesis": Thesis(),
     "per_image": PerImage(),
 }

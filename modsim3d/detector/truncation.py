@@ -75,7 +75,7 @@ _NORMAL = Normal()
 
 
 @dataclass(frozen=True, eq=False)
-class Accepted:
+class AcceptedErrors:
     """Points of the truncated law of some rows of boxes."""
 
     rows: slice
@@ -96,7 +96,7 @@ def accepted_errors(
     distribution: ErrorDistribution = _NORMAL,
     points: int = POINTS,
     at_once: int = _POINTS_AT_ONCE,
-) -> Iterator[Accepted]:
+) -> Iterator[AcceptedErrors]:
     """Points of the truncated law of every box, (n, 4), at least a pixel wide and high in images (n, 2), some rows at a
     time. `mean` and `covariance` are those of errors before truncation in pixels, (4,) or (n, 4), and px², (4, 4) or
     (n, 4, 4). `points` for each box is a power of two. The points do not depend on how many are made `at_once`."""
@@ -166,7 +166,7 @@ def _draw(
     uniforms: Array,
     normals: Callable[[int], Array],
     scales: Array,
-) -> Accepted:
+) -> AcceptedErrors:
     """Draw one error after the other within its bounds, given those before it. Uniforms have shape (4 or more, rows,
     points); `normals` gives the standard normal numbers of one of the first four. Scales have shape (rows, points) or,
     if they are the same for all points, (rows, 1)."""
@@ -189,7 +189,7 @@ def _draw(
         np.add(given, spread * drawn, out=errors[component])
     acceptance = chance.mean(axis=1)
     weights = chance / np.where(acceptance > 0, acceptance, 1)[:, None] / points
-    return Accepted(rows, np.moveaxis(errors, 0, -1), weights, acceptance)
+    return AcceptedErrors(rows, np.moveaxis(errors, 0, -1), weights, acceptance)
 
 
 def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
 from modsim3d.formats.labelled import FileIds, Images, LabelledSet
 from modsim3d.io.validation import nearest, shown
-from modsim3d.truth.analytic import NOTHING_PX2, Hiding
+from modsim3d.truth.analytic import NOTHING_PX2, Hiders
 from modsim3d.truth.occlusion_order import overlapping_pairs
 
 
@@ -22,7 +22,7 @@ def visible_fractions(image: Indices, boxes_px: Array, feet_px: Array) -> Array:
     `boxes_px` are cut at the edge of the image: (n, 4), `feet_px` are the lower edges before that: (n,)."""
     first, second = overlapping_pairs(image, boxes_px)
     below, above = feet_px[first] > feet_px[second], feet_px[first] < feet_px[second]
-    hiding = Hiding.of(np.concatenate([second[below], first[above]]), np.concatenate([first[below], second[above]]))
+    hiding = Hiders.of(np.concatenate([second[below], first[above]]), np.concatenate([first[below], second[above]]))
     hidden_px = np.zeros(len(boxes_px))
     common_px = intersections(boxes_px[hiding.hidden], boxes_px[hiding.hiders])
     rows, starts, counts = np.unique(hiding.hidden, return_index=True, return_counts=True)

@@ -12,7 +12,7 @@ from modsim3d.core.boxes import centres, sizes
 from modsim3d.core.text import in_percent
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, columns_of_one, digits, nested, ratio, widened
 from modsim3d.learn.matches import FalseSightings, Observed
-from modsim3d.learn.persistent_false_positives import Lasting, NotLasting, find_lasting
+from modsim3d.learn.persistent_false_positives import LifetimeFit, NoLifetime, find_lifetime
 from modsim3d.learn.persistent_pairs import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
 
 FALSE_NEEDED = 30  # false detections that a distribution of sizes needs
@@ -36,8 +36,8 @@ class FalsePositiveForm:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
         sightings, lasting = observed.false_sightings, None
         if self.lifetime_s:
-            found = find_lasting(observed, _expected(observed, self.model), known=True)
-            lasting = found if isinstance(found, Lasting) else None
+            found = find_lifetime(observed, _expected(observed, self.model), known=True)
+            lasting = found if isinstance(found, LifetimeFit) else None
         inflation = lasting.inflation if lasting else 1.0
         return LearnedFalsePositives(
             self,
@@ -47,7 +47,7 @@ class FalsePositiveForm:
             self._persistence(lasting, resampling) if self.lifetime_s else None,
         )
 
-    def _persistence(self, lasting: Lasting | None, resampling: Resampling) -> LearnedPersistence:
+    def _persistence(self, lasting: LifetimeFit | None, resampling: Resampling) -> LearnedPersistence:
         """Lifetime, speed and share; of data without two frames, in which nothing can stay, a share of 0."""
         rows, none = len(resampling.weights), np.array(0.0)
         lifetime = Column(np.full(rows, self.lifetime_s), "positive", none)
@@ -136,12 +136,12 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
     if false < FALSE_NEEDED:
         notes.append(f"false_positives.size: that of vessels; had {false:,} false detections, needs {FALSE_NEEDED}")
     chosen = _likelier(observed, notes) if model == "auto" else model
-    lasting: Lasting | NotLasting = NotLasting("left out")
+    lasting: LifetimeFit | NoLifetime = NoLifetime("left out")
     if "lasting" not in observed.without:
-        lasting = find_lasting(observed, _expected(observed, chosen))
-        if isinstance(lasting, NotLasting):
+        lasting = find_lifetime(observed, _expected(observed, chosen))
+        if isinstance(lasting, NoLifetime):
             notes.append(f"false_positives.persistence: none; {lasting.why}")
-    if isinstance(lasting, NotLasting):
+    if isinstance(lasting, NoLifetime):
         return FalsePositiveForm(chosen, sized, _placing(observed, (1.0, 1.0), notes), tuple(notes))
     placing = _placing(observed, lasting.worth, notes)
     if lasting.lifetime_s > lasting.frame_s * lasting.frames:
@@ -152,7 +152,7 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
 
 
 def _placing(observed: Observed, worth: tuple[float, float], notes: list[str]) -> Placing:
-    """Placement of false positives, as far as the data carry it; see `Lasting.worth`."""
+    """Placement of false positives, as far as the data carry it; see `LifetimeFit.worth`."""
     if "places" in observed.without:
         return "uniform"
     sightings = observed.false_sightings
@@ -262,7 +262,7 @@ def _of_states(observed: Observed, model: str, drawn: Resampling, inflation: flo
     return tuple(learned)
 
 
-def _place(seen: FalseSightings, placing: Placing, resampling: Resampling, lasting: Lasting | None) -> Entry | None:
+def _place(seen: FalseSightings, placing: Placing, resampling: Resampling, lasting: LifetimeFit | None) -> Entry | None:
     """The parameter of the placement; of a map the share of the false positives whose centres are in each cell."""
     worth = lasting.worth if lasting else (1.0, 1.0)
     if placing == "horizon_band":

@@ -47,14 +47,14 @@ class SoughtBoxes(Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Loose(Columns):
+class FalseBoxes(Columns):
     """False detections, ordered by image: row in the results (f,), image (f,) and box (f, 4)."""
 
     row: Indices
     image: Indices
     boxes_px: Array
 
-    def without(self, rows: Indices) -> Loose:
+    def without(self, rows: Indices) -> FalseBoxes:
         """All but those with some rows in the results."""
         return self.take(~np.isin(self.row, rows))
 
@@ -78,7 +78,7 @@ class Parts:
     smaller: Indices
 
 
-def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
+def two_parts(sought: SoughtBoxes, loose: FalseBoxes) -> Parts:
     """Annotations that two boxes side by side fit together."""
     first, place = loose.pairs(sought)
     part = _looks_part(loose.boxes_px[first], sought.boxes_px[place])
@@ -126,7 +126,7 @@ def _twos(group: Indices) -> tuple[Indices, Indices]:
     return a, b
 
 
-def second_boxes(sought: SoughtBoxes, loose: Loose, single: Mask, rule: Rule) -> tuple[Indices, Indices]:
+def second_boxes(sought: SoughtBoxes, loose: FalseBoxes, single: Mask, rule: Rule) -> tuple[Indices, Indices]:
     """Places of annotations (n,) with one vessel's match that have a second box, and rows of these boxes, (k,) each."""
     first, place = loose.pairs(sought)
     box_px, true_px = loose.boxes_px[first], sought.boxes_px[place]
@@ -141,7 +141,7 @@ def second_boxes(sought: SoughtBoxes, loose: Loose, single: Mask, rule: Rule) ->
     return place[good], loose.row[first[good]]
 
 
-def on_vessels(sought: SoughtBoxes, loose: Loose) -> tuple[Indices, Indices]:
+def on_vessels(sought: SoughtBoxes, loose: FalseBoxes) -> tuple[Indices, Indices]:
     """Places of annotations (n,) on which a false detection lies, and of these, (k,): each is of what shares most of
     it, and each annotation has one."""
     first, place = loose.pairs(sought)
@@ -203,7 +203,7 @@ class CommonBoxes:
     one_box: Mask  # pairs that have one box, be it around both or around one, shape (p,)
 
 
-def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Mask) -> CommonBoxes:
+def common_boxes(sought: SoughtBoxes, loose: FalseBoxes, pairs: Overlapping, free: Mask) -> CommonBoxes:
     """Boxes around two annotations, of which at most one has a match, and which are both free (n,)."""
     found = np.stack([sought.found[pairs.larger], sought.found[pairs.smaller]])
     both_free = free[pairs.larger] & free[pairs.smaller]

@@ -21,7 +21,7 @@ from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
 from modsim3d.learn import match_shapes
 from modsim3d.learn.bootstrap import SIGNIFICANT, Resampling, resample, spread
-from modsim3d.learn.match_shapes import CommonBoxes, Loose, Overlapping, SoughtBoxes, Trials
+from modsim3d.learn.match_shapes import CommonBoxes, FalseBoxes, Overlapping, SoughtBoxes, Trials
 
 # ---- How surely a box says whether it is around one ----
 
@@ -76,7 +76,7 @@ class Recognition:
 SHUFFLES = 8  # how often they are put elsewhere
 
 
-def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
+def shuffled(loose: FalseBoxes, images: Images) -> Iterator[FalseBoxes]:
     """False detections in other frames of the same state; every other time moved across the image as well."""
     sequence = np.where(np.isfinite(images.time_s), images.sequence, -1)
     sizes_px = np.nan_to_num(images.sizes_px, nan=-1.0).astype(np.int64)
@@ -98,7 +98,7 @@ def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
             boxes = boxes + np.where((room > 0) & np.isfinite(x), x - boxes[:, 0], 0.0)[:, None] * [1, 0, 1, 0]
         there, kept = other[loose.image], np.flatnonzero(step[loose.image])  # too few frames have their own vessels
         kept = kept[np.argsort(there[kept], kind="stable")]
-        yield Loose(loose.row[kept], there[kept], boxes[kept])
+        yield FalseBoxes(loose.row[kept], there[kept], boxes[kept])
 
 
 MIN_OVERLAP = 0.05  # least share of the smaller of two vessels inside the larger for which they may come out as one box
@@ -158,7 +158,7 @@ def kinds_of(labelled: LabelledSet, matched: Matched, used: Mask) -> MatchTypes:
     false = matched.false[used[results.image[matched.false]]]
     if matched.rule.method == "provenance" and results.kind is not None:
         return _as_the_run_says(labelled, sought, rows, false)
-    loose = Loose(false, results.image[false], results.boxes_px[false])
+    loose = FalseBoxes(false, results.image[false], results.boxes_px[false])
     return _as_boxes_look(labelled.images, sought, rows, loose, matched.rule)
 
 
@@ -200,7 +200,7 @@ def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, 
     )
 
 
-def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Loose, rule: Rule) -> MatchTypes:
+def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: FalseBoxes, rule: Rule) -> MatchTypes:
     parts = match_shapes.two_parts(sought, loose)
     whole = np.ones(len(rows), dtype=bool)
     whole[parts.place] = False
@@ -255,7 +255,7 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
 _COPIES = 0.25  # quantile of the IoU of matches that second boxes have at least in the median if they are copies
 
 
-def _copies(sought: SoughtBoxes, loose: Loose, place: Indices, doubled: Indices) -> bool:
+def _copies(sought: SoughtBoxes, loose: FalseBoxes, place: Indices, doubled: Indices) -> bool:
     """Whether second boxes, with the places of their vessels (d,), fit them about as well as the matches do."""
     if not len(doubled):
         return False
@@ -266,7 +266,7 @@ def _copies(sought: SoughtBoxes, loose: Loose, place: Indices, doubled: Indices)
 
 
 def _by_chance(
-    sought: SoughtBoxes, left: Loose, pairs: Overlapping, tried: Mask, whole: Mask, images: Images, rule: Rule
+    sought: SoughtBoxes, left: FalseBoxes, pairs: Overlapping, tried: Mask, whole: Mask, images: Images, rule: Rule
 ) -> dict[str, Array]:
     """Numbers of remaining false positives that look like second boxes or parts (n,), or like boxes around two (p,)."""
     chance = {name: np.zeros(len(sought)) for name in ("duplicates", "splits")}
@@ -304,10 +304,10 @@ def _ambiguous_pairs(detected: SoughtBoxes, pairs: Overlapping, recognition: Rec
     return VesselPairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _perhaps_parts(sought: SoughtBoxes, loose: Loose) -> Indices:
+def _perhaps_parts(sought: SoughtBoxes, loose: FalseBoxes) -> Indices:
     """Rows of detections that look like the parts of an annotation which has no other match, whatever they match."""
     own = np.flatnonzero(sought.found)
-    every = Loose.join([loose, Loose(sought.row[own], sought.image[own], sought.match_px[own])])
+    every = FalseBoxes.join([loose, FalseBoxes(sought.row[own], sought.image[own], sought.match_px[own])])
     order = np.argsort(every.image, kind="stable")
     parts = match_shapes.two_parts(replace(sought, row=np.full(len(sought), NOBODY)), every.take(order))
     match = sought.row[parts.place]

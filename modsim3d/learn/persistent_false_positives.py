@@ -177,7 +177,7 @@ def _peak(places: Array, values: Array, top: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Lasting:
+class LifetimeFit:
     """False positives that stay: their lifetime, the share of all that does, and the speed at which they drift."""
 
     counted: CountedPairs  # at lags up to a few lifetimes
@@ -226,28 +226,28 @@ class Lasting:
 
 
 @dataclass(frozen=True)
-class NotLasting:
+class NoLifetime:
     """Reason why no persistence of false positives is learned."""
 
     why: str
 
 
-def find_lasting(observed: Observed, expected: Array, known: bool = False) -> Lasting | NotLasting:
+def find_lifetime(observed: Observed, expected: Array, known: bool = False) -> LifetimeFit | NoLifetime:
     """Persistent false positives, given mean numbers in images (I,); if `known` to stay, pairs may be as by chance."""
     sightings = observed.false_sightings
     ordered = OrderedFrames.of(observed)
     if ordered is None:
-        return NotLasting("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
+        return NoLifetime("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
     if not len(sightings):
-        return NotLasting("there are no false detections")
+        return NoLifetime("there are no false detections")
     lags = list(lags_of(ordered, sightings, ordered.span_s / 2))
     if not lags:
-        return NotLasting(_NONE)
+        return NoLifetime(_NONE)
     far = far_pairs(observed, ordered, sightings)
     at_rest = _count(observed, expected, lags, far, 0.0)
     if not known and not at_rest.beyond_chance(far):
         near = f"{at_rest.found[:, 0].sum():,.0f} false detections have another near their place in the next frame"
-        return NotLasting(f"{near}, and {at_rest.chance[:, 0].sum():,.3g} would by chance")
+        return NoLifetime(f"{near}, and {at_rest.chance[:, 0].sum():,.3g} would by chance")
     drift = DriftSpeeds.of(sightings, observed.labelled.images.time_s, lags[0])
     counted = _count(observed, expected, lags, far, drift.rough_px_s)
     grid = np.geomspace(0.3 * ordered.gap_s, 10 * ordered.span_s, _GRID)
@@ -258,7 +258,7 @@ def find_lasting(observed: Observed, expected: Array, known: bool = False) -> La
         life, share = used.fit(every, grid)
         most_s = _LIFETIMES * float(life[0])
     frames = round(ordered.span_s / ordered.gap_s) + 1
-    return Lasting(used, drift, float(life[0]), min(float(share[0]), 1.0), ordered.gap_s, frames)
+    return LifetimeFit(used, drift, float(life[0]), min(float(share[0]), 1.0), ordered.gap_s, frames)
 
 
 _NONE = "no two frames of a sequence have times"

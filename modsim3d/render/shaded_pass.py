@@ -56,7 +56,7 @@ class Lamp:
 
 
 @dataclass(frozen=True, eq=False)
-class Lit:
+class LitPicture:
     """A picture of w × h pixels."""
 
     colour: NDArray[np.uint8]  # sRGB, zero where nothing is, shape (h, w, 3)
@@ -90,14 +90,14 @@ class ShadedRenderer:
         size: tuple[int, int],
         lamps: Sequence[Lamp],
         ambient: tuple[float, float, float],
-    ) -> Lit:
+    ) -> LitPicture:
         """Draw T faces in a picture of a width and height, with directed light and light from all directions. `pixels`
         maps CCF to homogeneous columns and rows of the picture, shape (3, 3): K, scaled and shifted to the window that
         the picture shows. No face may be nearer than the near plane. `ambient` is red, green and blue, as shares of a
         face's colour. Raises RendererError if the picture is larger than a buffer may be."""
         width, height = size
         if not len(faces.colours) or not min(size):
-            return Lit(np.zeros((height, width, 3), np.uint8), np.full((height, width), np.inf, np.float32))
+            return LitPicture(np.zeros((height, width, 3), np.uint8), np.full((height, width), np.inf, np.float32))
         if max(size) > MAX_REGION_PX:
             raise RendererError(f"a picture of {width} × {height} px is too large: at most {MAX_REGION_PX} px a side")
         scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
@@ -108,7 +108,7 @@ class ShadedRenderer:
             flags = self._pyrender.RenderFlags
             drawn, inverse = self._drawer.render(scene, flags.OFFSCREEN | flags.SKIP_CULL_FACES | flags.FLAT)
         with np.errstate(divide="ignore"):
-            return Lit(drawn, np.float32(near_m) / inverse)
+            return LitPicture(drawn, np.float32(near_m) / inverse)
 
     def close(self) -> None:
         """Free the buffers and textures in the context."""

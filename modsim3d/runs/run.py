@@ -27,7 +27,7 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.runs.workers import BlockMaker, BlockTally, BlockWorkers, backend_of, open_block_workers
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.crosscheck.comparison import CheckCounts
 from modsim3d.world.poses.labelled import LABELS
 
 FORMAT = 2  # format 1 had no counts for each camera, and only the centre form of the detections' boxes
@@ -60,7 +60,7 @@ class RunResult(Result):
     damaged_blocks: int
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
-    checked: Checked | None = None
+    checked: CheckCounts | None = None
 
     @property
     def iou(self) -> Overlaps:
@@ -186,7 +186,7 @@ def write_run(
         total.damaged_blocks,
         intersecting,
         truncation,
-        Checked(**checked["crosscheck"]) if checked else None,
+        CheckCounts(**checked["crosscheck"]) if checked else None,
     )
 
 

@@ -16,7 +16,7 @@ from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import visible_areas
-from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame
+from modsim3d.truth.crosscheck.comparison import CheckCounts, Difference, SaidOfFrame, check_frame
 from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ class TruthCheckError(ModsimError):
 
 def check_block(
     scene: Scene, truth: Truth, first: int, stop: int, renderer: IdRenderer | None, *, streamed: bool = False
-) -> Checked:
+) -> CheckCounts:
     """Check the truth of steps first to stop − 1; without a renderer nothing was drawn, and nothing is checked.
     `streamed` checks the first frames and then one step in a thousand, as where the number of steps is not known.
     Raises TruthCheckError if the truth is not what OpenGL draws."""
     if renderer is None:
-        return Checked()
+        return CheckCounts()
     drawn = int(truth.drawn.sum())
-    checked = Checked(from_spans=len(truth) - drawn, from_buffers=drawn)
+    checked = CheckCounts(from_spans=len(truth) - drawn, from_buffers=drawn)
     chosen = sorted(set(_frames_to_check(scene, first, stop, streamed or scene.live)))
     whole = _first_checked(scene, chosen[0], streamed or scene.live) if chosen else None
     for camera in range(len(scene.cameras)):
@@ -196,7 +196,7 @@ def _step_of_stream(scene: Scene, part: int) -> FrameKey:
 
 def _check_frames(
     scene: Scene, truth: Truth, camera: int, steps: Indices, renderer: IdRenderer, whole: FrameKey | None
-) -> Checked:
+) -> CheckCounts:
     """Check frames of a camera at ascending steps; of the frame `whole`, the whole image."""
     from modsim3d.truth.rendered import rendered_spans, spans_of_frame
 
@@ -204,7 +204,7 @@ def _check_frames(
     outlines, lens = sight.outlines(), sight.camera.intrinsics
     spans = rendered_spans(outlines, lens, renderer, supersample, full=scene.annotation.render == "full")
     areas, bounds = visible_areas(outlines, lens, supersample)
-    checked, seen = Checked(), truth.of_camera(camera)
+    checked, seen = CheckCounts(), truth.of_camera(camera)
     for frame, step in enumerate(steps.tolist()):
         rows = np.flatnonzero((outlines.frame == frame) & outlines.boxed & ~np.isnan(areas))
         said = SaidOfFrame(

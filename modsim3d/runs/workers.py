@@ -24,7 +24,7 @@ from modsim3d.runs.files.stored_tables import StoredTable, truth_of
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_statistics, truth_block
 from modsim3d.runs.truth_check import TruthCheckError, check_block
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.crosscheck.comparison import CheckCounts
 from modsim3d.truth.record import Truth, annotation_boxes
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class BlockTally:
     boxes: BoxSample = field(default_factory=BoxSample)
     intersecting: frozenset[tuple[int, int]] = frozenset()
     """Pairs of vessels or obstacles whose hulls intersect: the analytic source cannot tell what is visible of them."""
-    checked: Checked = field(default_factory=Checked)
+    checked: CheckCounts = field(default_factory=CheckCounts)
 
     def __add__(self, other: BlockTally) -> BlockTally:
         """Both together."""
@@ -167,7 +167,7 @@ class BlockMaker:
         Truth is kept in `folder`; `statistics` are of the whole scene's targets; for `kinds` see `line_kinds`."""
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
-            checked = Checked() if self._scene.detector.needs_target_statistics else self._check(truth, first, stop)
+            checked = CheckCounts() if self._scene.detector.needs_target_statistics else self._check(truth, first, stop)
             if self._simulation is None:
                 self._simulation = Simulation(self._scene, statistics)
             block = self._simulation.detect(truth, first, stop)
@@ -182,7 +182,7 @@ class BlockMaker:
             )
             return tally, BlockFiles.of(block, self._scene, kinds)
 
-    def _check(self, truth: Truth, first: int, stop: int) -> Checked:
+    def _check(self, truth: Truth, first: int, stop: int) -> CheckCounts:
         """The cross-check of a block's truth, before the detector sees it; also of a truth that was kept."""
         return check_block(self._scene, truth, first, stop, self._renderer)
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.world.following import WorldFollowing, in_last_frames, seen
-from modsim3d.tracks.true_tracks import Following
+from modsim3d.tracking.world.following import WorldMatching, in_last_frames, seen
+from modsim3d.tracks.true_tracks import TrackMatching
 from modsim3d.world.encounters import hull_tracks
 
 LOST_S = 5.0  # a vessel in view that no track follows for longer is lost
@@ -30,14 +30,14 @@ class VesselApproach:
     one_track_m: float  # from when on the same track did
 
 
-def tracks_in_images(rows: RunRows, following: Following) -> Indices:
+def tracks_in_images(rows: RunRows, following: TrackMatching) -> Indices:
     """Number of the track that follows each of V vessels in the last frame of each of C cameras at S steps, shape
     (S, C, V); `NOBODY` for none. Tracks of two cameras are two."""
     identity = np.append(following.tracks.identity, NOBODY)[following.track_row]  # the last is that of NOBODY
     return in_last_frames(rows, following.truth.frame, following.truth.vessel, identity)
 
 
-def tracks_in_world(rows: RunRows, following: WorldFollowing) -> Indices:
+def tracks_in_world(rows: RunRows, following: WorldMatching) -> Indices:
     """Number of the track in the world that follows each vessel, as in `tracks_in_images`, for each camera the same."""
     track = np.append(following.tracks.track, NOBODY)[following.followed_by]
     return np.repeat(track[:, None], len(rows.scene.cameras), axis=1)

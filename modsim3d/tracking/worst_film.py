@@ -22,7 +22,7 @@ from modsim3d.runs.pipeline import detected_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.selection import StepFrames, select
 from modsim3d.runs.stored_run import open_run
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracking.worst_moment import worst_mistake, worst_moment_s
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Tracks, TrackSet
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 class Story:
     """Story of what a tracker lost: a vessel in one camera, or a track on nothing, in n frames in order of time."""
 
-    scored: Scored
+    scored: ScoredRun
     vessel: int  # index, `NOBODY` if it is about a track
     track: int  # number, `NOBODY` if it is about a vessel
     lost: int  # number of the frame in which it went wrong
@@ -48,7 +48,7 @@ class Story:
     seen: Mask  # whether other things do not hide all of the vessel, shape (n,)
 
     @classmethod
-    def of(cls, scored: Scored, moment_s: float) -> Story:
+    def of(cls, scored: ScoredRun, moment_s: float) -> Story:
         """The worst mistake at a moment, with what comes before and after."""
         worst, following = worst_mistake(scored, moment_s), scored.following
         truth, tracks, lost = following.truth, following.tracks, int(worst.frame[0])
@@ -107,7 +107,7 @@ def moment_pictures(rows: RunRows, tracks: Tracks, moment_s: float | None, rules
     tracks, the usual ones if None."""
     from modsim3d.view.films.renderer import open_film_renderer
 
-    scored = Scored.of(rows, tracks, rules or Rules())
+    scored = ScoredRun.of(rows, tracks, rules or Rules())
     moment_s = worst_moment_s(scored) if moment_s is None else moment_s
     if moment_s is None:
         return []
@@ -221,7 +221,7 @@ def film_moment(
     run = open_run(folder)
     rows = RunRows.of(run)
     track_set = read_tracks(tracks, run, rows)
-    scored = Scored.of(rows, track_set.tracks, rules)
+    scored = ScoredRun.of(rows, track_set.tracks, rules)
     story = Story.of(scored, moment_s)
     camera = story.lost % scored.by_step
     selection = select(run, (camera,), from_s=moment_s - AROUND_S, to_s=moment_s + AROUND_S)

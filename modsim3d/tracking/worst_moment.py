@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import areas
-from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s
+from modsim3d.tracking.scores.scored_run import ScoredRun, frame_lengths_s
 
 WINDOW_S = 5.0  # as long as a look at what happens in a film
 LOST, FALSE, SWITCHED = range(3)
@@ -31,7 +31,7 @@ class Mistakes:
     track: Indices  # number of the track that follows nothing, else `NOBODY`, shape (n,)
 
     @classmethod
-    def of(cls, scored: Scored) -> Mistakes:
+    def of(cls, scored: ScoredRun) -> Mistakes:
         """The mistakes in the frames that are scored."""
         following, truth_rows = scored.following, scored.truth_rows
         truth, tracks = following.truth, following.tracks
@@ -57,7 +57,7 @@ class Mistakes:
         return Mistakes(**{name: column[rows] for name, column in vars(self).items()})
 
 
-def _new(scored: Scored) -> Mask:
+def _new(scored: ScoredRun) -> Mask:
     """Mask of the matching's vessels that came less than a window ago and were never followed before, shape (n,).
     Trackers wait for some detections before they report a track: all of them lose all vessels when a run begins."""
     truth, rows = scored.following.truth, scored.truth_rows
@@ -68,7 +68,7 @@ def _new(scored: Scored) -> Mask:
     return np.less(time_s, until_s[truth.identity] - 1e-6)
 
 
-def _switches(scored: Scored) -> Indices:
+def _switches(scored: ScoredRun) -> Indices:
     """Rows of the matching's vessels at which an appearance is followed by another track than last, shape (s,)."""
     truth, tracks, (rows, track_rows) = scored.following.truth, scored.following.tracks, scored.pairs
     order = np.lexsort((truth.frame[rows], truth.identity[rows]))
@@ -78,7 +78,7 @@ def _switches(scored: Scored) -> Indices:
     return found
 
 
-def worst_moment_s(scored: Scored) -> float | None:
+def worst_moment_s(scored: ScoredRun) -> float | None:
     """The moment at which a run went wrong, as its timestamps have it; None if nothing is wrong in it. Of all stretches
     of 5 s it is the one with most mistakes, in all cameras together: vessel-seconds in which a vessel is lost,
     track-seconds in which a track follows nothing, and 5 s for each identity switch. See `Mistakes`. The moment is the
@@ -96,7 +96,7 @@ def worst_moment_s(scored: Scored) -> float | None:
     return float(scored.rows.scene.timestamps(step, step + 1)[0])
 
 
-def worst_mistake(scored: Scored, moment_s: float) -> Mistakes:
+def worst_mistake(scored: ScoredRun, moment_s: float) -> Mistakes:
     """The mistake to look at, of those at the step nearest to a moment that has some: in the frame with most of them a
     switch rather than a vessel that is lost, and that rather than a track on nothing; of those the largest box."""
     mistakes = Mistakes.of(scored)

@@ -73,7 +73,7 @@ _SAME_AS_BEFORE = 1000.0  # what a pair of the frame before gains, as in CLEAR M
 
 
 @dataclass(frozen=True, eq=False)
-class Following:
+class TrackMatching:
     """The one matching of tracks and truth that all scores by rows are taken from. In each frame vessels and tracks are
     assigned so that as many pairs of the frame before as possible stay, and then the sum of similarities is largest.
     Vessels that are not scored take part: a track that follows one is not counted."""
@@ -120,7 +120,7 @@ def _in_regions(tracks: Tracks, rows: Indices, regions: IgnoredRegions, cameras:
 
 def follow(
     truth: TrueTracks, tracks: Tracks, similarity: Similarity, regions: IgnoredRegions | None = None
-) -> Following:
+) -> TrackMatching:
     """Assign tracks to vessels in each frame. Of those that follow nothing, the ones in `regions` are ignored."""
     track_row, truth_row = np.full(len(truth), NOBODY), np.full(len(tracks), NOBODY)
     before: dict[int, dict[int, int]] = {}  # camera: track that followed each identity in the camera's frame before
@@ -140,7 +140,7 @@ def follow(
     false, ignored = np.flatnonzero(truth_row == NOBODY), np.zeros(len(tracks), dtype=bool)
     if regions is not None and len(regions):
         ignored = _in_regions(tracks, false, regions, truth.cameras)
-    return Following(truth, tracks, similarity, track_row, truth_row, ignored)
+    return TrackMatching(truth, tracks, similarity, track_row, truth_row, ignored)
 
 
 def best_pairs(alike: Array, least: float, kept: Mask) -> tuple[Indices, Indices]:

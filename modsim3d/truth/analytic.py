@@ -26,14 +26,14 @@ Polygons = NDArray[np.object_]
 
 
 @dataclass(frozen=True, eq=False)
-class Hiding:
+class Hiders:
     """Pairs of rows of which one may hide the other, ordered by the hidden row; shapes (m,)."""
 
     hidden: Indices  # row that may be hidden, non-decreasing
     hiders: Indices  # row that may hide it
 
     @classmethod
-    def of(cls, hidden: Indices, hiders: Indices) -> Hiding:
+    def of(cls, hidden: Indices, hiders: Indices) -> Hiders:
         """Sort pairs: `hiders[k]` may hide `hidden[k]`; both of shape (m,)."""
         ascending = np.lexsort((hiders, hidden))
         return cls(hidden[ascending], hiders[ascending])
@@ -54,7 +54,7 @@ def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
     return left
 
 
-def visible_of(silhouettes: Polygons, hiding: Hiding) -> Polygons:
+def visible_of(silhouettes: Polygons, hiding: Hiders) -> Polygons:
     """Visible part of each silhouette (n,), shape (n,)."""
     return subtract(silhouettes, hiding.hidden, silhouettes[hiding.hiders])
 
@@ -68,7 +68,7 @@ def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Arra
     return boxes, np.where(whole, full_areas_px, np.where(seen, areas, 0.0))
 
 
-def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties: Hiding | None = None) -> Array:
+def hidden_areas(silhouettes: Polygons, hiding: Hiders, occluder: Indices, ties: Hiders | None = None) -> Array:
     """Area that each hider hides of each hidden row, in square pixels, for the m pairs of `hiding`, shape (m,). Every
     hidden point is counted for the front-most solid there. A hider's part is therefore what the two silhouettes share,
     minus the silhouettes of everything that may hide the hider. What several pieces of an obstacle, of one index in
@@ -94,7 +94,7 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties:
     return areas
 
 
-def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixels:
+def hidden_by(hiding: Hiders, areas_px: Array, occluder: Indices) -> HiddenPixels:
     """Who hides how much of which row, from the m areas of `hidden_areas`, shape (m,), without rounding errors."""
     real = areas_px > NOTHING_PX2
     return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])
@@ -117,7 +117,7 @@ class VisibleRegions:
 
     silhouettes: Polygons  # whole ones, cut at the image edge, shape (n,)
     visible: Polygons  # their visible parts, shape (n,)
-    hiding: Hiding  # which rows can hide which
+    hiding: Hiders  # which rows can hide which
     order: Order  # of solids, which `hiding` follows from
 
 
@@ -127,7 +127,7 @@ def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegion
     order = order_of(outlines)
     one, other = order.first_can_hide, order.second_can_hide
     hidden = np.concatenate([order.second[one], order.first[other]])
-    hiding = Hiding.of(hidden, np.concatenate([order.first[one], order.second[other]]))
+    hiding = Hiders.of(hidden, np.concatenate([order.first[one], order.second[other]]))
     return VisibleRegions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
 
 
@@ -143,7 +143,7 @@ def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusi
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, areas_px)
     touching = np.column_stack([order.first, order.second])[order.intersecting]
     farther = touching[np.arange(len(touching)), np.argmax(outlines.depth_m[touching], axis=1)]
-    ties = Hiding.of(farther, touching.sum(axis=1) - farther) if len(touching) else None
+    ties = Hiders.of(farther, touching.sum(axis=1) - farther) if len(touching) else None
     pairs = touching[outlines.boxed[touching].any(axis=1)]  # a bridge may stand on a quay
     boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
     areas = hidden_areas(regions.silhouettes, regions.hiding, outlines.occluder, ties)
@@ -177,9 +177,9 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     nearer = outlines.depth_m[first] < outlines.depth_m[second]
     farther = outlines.depth_m[first] > outlines.depth_m[second]  # of equal depth, neither hides the other
     hidden, hiders = (np.concatenate([a[nearer], b[farther]]) for a, b in ((second, first), (first, second)))
-    hiding = Hiding.of(hidden, hiders)
+    hiding = Hiders.of(hidden, hiders)
     equal = ~(nearer | farther)
-    ties = Hiding.of(second[equal], first[equal]) if equal.any() else None
+    ties = Hiders.of(second[equal], first[equal]) if equal.any() else None
     areas = shapely.area(rectangles)
     boxes, visible_px = boxes_and_areas(visible_of(rectangles, hiding), outlines.boxes_px, areas)
     return Occlusion(

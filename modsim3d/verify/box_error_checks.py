@@ -29,7 +29,7 @@ _KNOWN, _MIN_SHARE, _MAX_SCALE = 10.0, 1e-3, 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class ReplayedErrors:
     """Statistics of many replays of the same detections' errors."""
 
     errors: list[Array]  # standard errors of each state's step, shapes (p,)
@@ -37,7 +37,7 @@ class Replayed:
     lagged: Array  # that of each component with those `LAGS` frames before, shape (replays, lags, 4)
 
 
-def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Replayed | None:
+def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> ReplayedErrors | None:
     """Draw persistent errors of the same detections many times; None if there are none."""
     if not fits:
         return None
@@ -61,7 +61,7 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
         found.append(_products(whitened, now, before))
         lagged.append(_lagged_products(whitened, lags))
     errors = [np.concatenate(step).std(axis=0) for step in steps]
-    return Replayed(errors, np.concatenate(found), np.concatenate(lagged))
+    return ReplayedErrors(errors, np.concatenate(found), np.concatenate(lagged))
 
 
 def _lagged_pairs(tracks: Indices, times_s: Array) -> list[tuple[Indices, Indices]]:
@@ -88,7 +88,7 @@ def _lagged_products(whitened: Array, lags: list[tuple[Indices, Indices]]) -> Ar
 
 
 def memory_checks(
-    model: DetectorModel, evidence: Evidence, fits: list[StateFit], replayed: Replayed | None
+    model: DetectorModel, evidence: Evidence, fits: list[StateFit], replayed: ReplayedErrors | None
 ) -> list[Parameter]:
     """Correlation of each component of box errors some frames apart, where each has a memory of its own."""
     memory = model.persistence.box
@@ -119,7 +119,7 @@ def memory_checks(
 
 
 def box_persistence(
-    model: DetectorModel, evidence: Evidence, fits: list[StateFit], replayed: Replayed | None
+    model: DetectorModel, evidence: Evidence, fits: list[StateFit], replayed: ReplayedErrors | None
 ) -> Estimate | None:
     """Correlation of latent numbers with those of the same vessel one frame before."""
     if not fits:

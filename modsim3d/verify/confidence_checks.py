@@ -120,7 +120,7 @@ _LEVELS = 100  # means at which the integrals are computed; those between are in
 
 
 @dataclass(frozen=True, eq=False)
-class Clipped:
+class TobitModel:
     """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients.
     `kept` are those that keep a part of their deviation from one another, None for none."""
 
@@ -313,7 +313,7 @@ def _normal(
         return [("std", 0.0, Exact(wrong, count))]
     if count >= MIN_DETECTIONS:
         design = np.column_stack([np.ones(count), *(amount for _, _, amount in slopes)])
-        measures = Clipped(found.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
+        measures = TobitModel(found.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
     return list(zip(names, [scores.mean, scores.std, *own], measures, strict=True))
 
 

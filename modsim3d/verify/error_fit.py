@@ -17,7 +17,7 @@ from modsim3d.detector.confidence import drawn_levels
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import FALSE_POSITIVE
-from modsim3d.detector.truncation import Accepted, accepted_errors
+from modsim3d.detector.truncation import AcceptedErrors, accepted_errors
 from modsim3d.verify.class_checks import expected_outcomes
 from modsim3d.verify.confidence_checks import levels_of, scored
 from modsim3d.verify.error_parameters import ErrorParameters
@@ -29,7 +29,7 @@ _SINGULAR = 1e10
 _SKEWNESS_BOXES = 100  # the skewness is computed from about as many boxes
 
 
-def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator[tuple[Accepted, Array]]:
+def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator[tuple[AcceptedErrors, Array]]:
     """Points of the truncated law of some of the boxes at a time, and the statistics (rows, points, m) at each."""
     means, stds = law.at(boxes_px)
     covariances = law.correlation * stds[:, :, None] * stds[:, None, :]

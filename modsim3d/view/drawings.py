@@ -18,7 +18,7 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.tracks.world_reading import is_world, read_world_tracks
 from modsim3d.view.films.files import FORMATS, check_encoder
-from modsim3d.view.films.film import Showing, draw_film, draw_picture
+from modsim3d.view.films.film import ShownSteps, draw_film, draw_picture
 from modsim3d.view.films.plan import WIDTH_PX, FilmPlan
 from modsim3d.view.films.renderer import bearings_of
 from modsim3d.view.films.request import PictureRequest, parse_look
@@ -94,7 +94,7 @@ def view_film(
     check_encoder(file_format)
     folder, pictures = selection.run.folder, file_format == "png"
     path = path or folder / kind if pictures else out_file(path, folder / f"{kind}.{file_format}")
-    claim, showing = _claimed(path, selection.run, overwrite, pictures), Showing.of(selection, file_format, speed)
+    claim, showing = _claimed(path, selection.run, overwrite, pictures), ShownSteps.of(selection, file_format, speed)
     pace, timetable = f"{len(showing.steps)} frames", showing.timetable
     if not pictures:
         pace += f", {timetable.duration_s:.1f} s at {float(timetable.rate):g} pictures/s"

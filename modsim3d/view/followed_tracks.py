@@ -16,7 +16,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Similarity, Tracks, TrackSet
-from modsim3d.tracks.true_tracks import Following, TrueTracks, follow
+from modsim3d.tracks.true_tracks import TrackMatching, TrueTracks, follow
 
 TRAIL_S = 2.0  # how far back the centres of a track's boxes are shown
 
@@ -120,7 +120,7 @@ def read_of_tracks(tracks: StrPath | None) -> list[Path]:
     return sorted(inner for inner in path.rglob("*") if inner.is_file()) if path.is_dir() else [path]
 
 
-def _vessels(following: Following) -> Indices:
+def _vessels(following: TrackMatching) -> Indices:
     """Index of the vessel that each row of the tracks follows, `NOBODY` for none."""
     return np.append(following.truth.vessel, NOBODY)[following.truth_row]
 

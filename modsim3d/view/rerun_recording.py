@@ -121,7 +121,7 @@ class Silhouette:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ViewOutlines:
     """View of a camera in a frame: the sea half plane, shape (3,), and silhouettes from back to front."""
 
     step: int
@@ -159,7 +159,7 @@ class Pictures:
                 self.log.at(each.step)
                 self._put(each)
 
-    def _put(self, seen: Seen) -> None:
+    def _put(self, seen: ViewOutlines) -> None:
         sdk, path, scene = self.log.sdk, rerun_boxes.image_path(seen.camera.name), self.log.scene
         vessels = len(scene.vessels)
         owners = [each.occluder for each in seen.silhouettes for _ in each.rings_px]
@@ -178,7 +178,7 @@ class Pictures:
         self.log.put([*path, "silhouettes"], lines)
 
 
-def seen_at(rows: RunRows, steps: Indices) -> Iterator[Seen]:
+def seen_at(rows: RunRows, steps: Indices) -> Iterator[ViewOutlines]:
     """Views of each camera in the frames that it took at some ascending steps, shape (n,)."""
     scene, cameras, hides = rows.scene, len(rows.scene.cameras), hiding(rows)
     quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
@@ -193,7 +193,7 @@ def seen_at(rows: RunRows, steps: Indices) -> Iterator[Seen]:
             lines = np.split(corners * quantum, np.cumsum(count)[:-1])
             silhouettes[frame].append(Silhouette(int(occluder), lines))
         for step, half_plane, shown in zip(taken.tolist(), half_planes, silhouettes, strict=True):
-            yield Seen(step, camera, half_plane, shown)
+            yield ViewOutlines(step, camera, half_plane, shown)
 
 
 def simple(rings_px: Sequence[Array], tolerance_px: float) -> list[Array]:
@@ -213,7 +213,7 @@ def picture_size(camera: Camera) -> tuple[int, int]:
     return width, height
 
 
-def png(seen: Seen, vessels: int, own_ships: tuple[int, ...] = ()) -> bytes:
+def png(seen: ViewOutlines, vessels: int, own_ships: tuple[int, ...] = ()) -> bytes:
     """The picture of a frame as a PNG file: sky, sea, and silhouettes darker than the boxes on them."""
     picture, written = paint(seen), BytesIO()
     owners = [palette.darker(palette.owner_colour(i, vessels, own_ships)) for i in range(MAX_COLOURS)]
@@ -223,7 +223,7 @@ def png(seen: Seen, vessels: int, own_ships: tuple[int, ...] = ()) -> bytes:
     return written.getvalue()
 
 
-def paint(seen: Seen) -> Image.Image:
+def paint(seen: ViewOutlines) -> Image.Image:
     """The picture of a frame, with numbers as colours."""
     size = picture_size(seen.camera)
     picture = Image.new("P", size, SKY)
@@ -258,7 +258,7 @@ def _points(ring: Array) -> list[tuple[float, ...]]:
     return [tuple(point) for point in (ring - 0.5).tolist()]
 
 
-def horizon_px(seen: Seen) -> list[Array]:
+def horizon_px(seen: ViewOutlines) -> list[Array]:
     """The horizon in a frame as a line, shape (2, 2); no line if the image shows none."""
     width, height = _image_size(seen)
     frame = np.array([(0, 0), (width, 0), (width, height), (0, height)])
@@ -270,7 +270,7 @@ def horizon_px(seen: Seen) -> list[Array]:
     return [ends] if len(ends) == 2 else []
 
 
-def _image_size(seen: Seen) -> Array:
+def _image_size(seen: ViewOutlines) -> Array:
     return np.array(seen.camera.intrinsics.image_size_px, dtype=np.float64)
 
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.id_pass import SUBPIXELS, Region
-from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
+from modsim3d.render.shaded_pass import Lamp, LitFaces, LitPicture, ShadedRenderer
 from modsim3d.view import palette
 from modsim3d.view.lights import Sector, SeenLight, is_hidden, lights_towards
 from modsim3d.view.pictures.canvas import Box, Canvas, Window
@@ -221,7 +221,7 @@ class ShadedPictureRenderer:
             known = self._grounds[key] = _Ground(pose, behind)
         return known
 
-    def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
+    def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> LitPicture:
         to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
         corner = window.x * window.scale + region.x, window.y * window.scale + region.y
         to_picture[:2, 2] = -samples * np.array(corner)

@@ -16,7 +16,7 @@ from pydantic.alias_generators import to_camel
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.io.validation import Count, Number, describe
-from modsim3d.world.mesh_limits import MAX_GLB_BYTES, Refused, check_faces, check_reference, check_size, check_vertices
+from modsim3d.world.mesh_limits import MAX_GLB_BYTES, Refusal, check_faces, check_reference, check_size, check_vertices
 
 MAX_DESCRIPTION_BYTES = 2**23
 MAX_NODES = 2000
@@ -120,18 +120,18 @@ class Glb:
 
 
 def read_glb(file: BinaryIO, size: int) -> Glb:
-    """The content of a GLB file. Raises `Refused` if it is wrong, too large, or refers to other files."""
+    """The content of a GLB file. Raises `Refusal` if it is wrong, too large, or refers to other files."""
     header = file.read(20)
     if len(header) < 20 or header[:4] != b"glTF" or header[16:20] != b"JSON":
-        raise Refused("is not a GLB file: it does not begin as binary glTF does")
+        raise Refusal("is not a GLB file: it does not begin as binary glTF does")
     version, length, description_bytes = struct.unpack("<4xIII", header[:16])
     if version != 2:
-        raise Refused(f"is glTF version {version}; version 2 is needed")
+        raise Refusal(f"is glTF version {version}; version 2 is needed")
     if length != size:
-        raise Refused(f"has {size} bytes where its header announces {length}: is it cut off?")
+        raise Refusal(f"has {size} bytes where its header announces {length}: is it cut off?")
     if description_bytes > MAX_DESCRIPTION_BYTES:
         most = f"at most {MAX_DESCRIPTION_BYTES} are read: simplify it"
-        raise Refused(f"has a description of {description_bytes} bytes; {most}")
+        raise Refusal(f"has a description of {description_bytes} bytes; {most}")
     gltf = _parse(file.read(description_bytes))
     _check_references(gltf)
     _check_counts(gltf)
@@ -140,7 +140,7 @@ def read_glb(file: BinaryIO, size: int) -> Glb:
     announced = struct.unpack("<I", rest[:4])[0] if rest[4:8] == b"BIN\0" else 0
     binary = rest[8 : 8 + announced]
     if len(binary) < announced:
-        raise Refused(f"has {len(binary)} bytes of data where it announces {announced}: is it cut off?")
+        raise Refusal(f"has {len(binary)} bytes of data where it announces {announced}: is it cut off?")
     _check_ranges(gltf, len(binary))
     return Glb(gltf, binary)
 
@@ -149,9 +149,9 @@ def _parse(description: bytes) -> Gltf:
     try:
         return Gltf.model_validate(json.loads(description))
     except ValidationError as error:
-        raise Refused(f"has a faulty description: {describe(error, Gltf)[0]}") from None
+        raise Refusal(f"has a faulty description: {describe(error, Gltf)[0]}") from None
     except (ValueError, RecursionError) as error:
-        raise Refused(f"has a description that is not JSON ({type(error).__name__}): is it damaged?") from None
+        raise Refusal(f"has a description that is not JSON ({type(error).__name__}): is it damaged?") from None
 
 
 def _check_references(gltf: Gltf) -> None:
@@ -162,15 +162,15 @@ def _check_references(gltf: Gltf) -> None:
     for buffer in gltf.buffers:
         if buffer.uri is not None and not buffer.uri.startswith("data:"):
             check_reference(buffer.uri, "buffer")
-            raise Refused(f"keeps its geometry in another file, {buffer.uri[:80]!r}: export it as one GLB file")
+            raise Refusal(f"keeps its geometry in another file, {buffer.uri[:80]!r}: export it as one GLB file")
     for name in gltf.extensions_required:
         if not name.startswith(DRAWN_ONLY):
-            raise Refused(f"needs the glTF extension {name[:80]!r}, which is not read: export it without")
+            raise Refusal(f"needs the glTF extension {name[:80]!r}, which is not read: export it without")
 
 
 def _one_of(items: Sequence[Item], index: int, what: str) -> Item:
     if index >= len(items):
-        raise Refused(f"has no {what} {index}, only {len(items)}: is it damaged?")
+        raise Refusal(f"has no {what} {index}, only {len(items)}: is it damaged?")
     return items[index]
 
 
@@ -189,7 +189,7 @@ def _check_counts(gltf: Gltf) -> None:
 def _times_shown(gltf: Gltf) -> list[int]:
     """Number of times that the scene shows each mesh; its nodes must form trees (section 3.5.2)."""
     if gltf.scene >= len(gltf.scenes):
-        raise Refused(f"has no scene {gltf.scene}, only {len(gltf.scenes)}: export it with a scene")
+        raise Refusal(f"has no scene {gltf.scene}, only {len(gltf.scenes)}: export it with a scene")
     shown = [0] * len(gltf.meshes)
     seen: set[int] = set()
     waiting = list(gltf.scenes[gltf.scene].nodes)
@@ -197,7 +197,7 @@ def _times_shown(gltf: Gltf) -> list[int]:
         index = waiting.pop()
         node = _one_of(gltf.nodes, index, "node")
         if index in seen:
-            raise Refused(f"has node {index} in two places of its scene; its nodes must form trees")
+            raise Refusal(f"has node {index} in two places of its scene; its nodes must form trees")
         seen.add(index)
         waiting += node.children or []
         if node.mesh is not None:
@@ -209,28 +209,28 @@ def _times_shown(gltf: Gltf) -> list[int]:
 def _accessor(gltf: Gltf, index: int, kind: str) -> Accessor:
     accessor = _one_of(gltf.accessors, index, "accessor")
     if accessor.type != kind or (kind == "SCALAR" and accessor.component_type not in (5121, 5123, 5125)):
-        raise Refused(f"has accessor {index} of a type that positions or indices cannot be: is it damaged?")
+        raise Refusal(f"has accessor {index} of a type that positions or indices cannot be: is it damaged?")
     if accessor.sparse is not None:
-        raise Refused(f"has accessor {index} stored sparsely, which is not read: export it without")
+        raise Refusal(f"has accessor {index} stored sparsely, which is not read: export it without")
     return accessor
 
 
 def positions_of(gltf: Gltf, primitive: Primitive) -> Accessor:
-    """The accessor of the positions of a primitive. Raises `Refused` if it has none."""
+    """The accessor of the positions of a primitive. Raises `Refusal` if it has none."""
     if primitive.attributes.position is None:
-        raise Refused("has a mesh without positions: is it damaged?")
+        raise Refusal("has a mesh without positions: is it damaged?")
     return _accessor(gltf, primitive.attributes.position, "VEC3")
 
 
 def indices_of(gltf: Gltf, primitive: Primitive) -> Accessor | None:
-    """The accessor of the indices of a primitive, None if its positions are in order. Raises `Refused` for others."""
+    """The accessor of the indices of a primitive, None if its positions are in order. Raises `Refusal` for others."""
     return None if primitive.indices is None else _accessor(gltf, primitive.indices, "SCALAR")
 
 
 def view_of(gltf: Gltf, accessor: Accessor) -> BufferView:
-    """The bytes that an accessor is in. Raises `Refused` if there are none."""
+    """The bytes that an accessor is in. Raises `Refusal` if there are none."""
     if accessor.buffer_view is None or accessor.buffer_view >= len(gltf.buffer_views):
-        raise Refused("has an accessor without data: is it compressed or damaged?")
+        raise Refusal("has an accessor without data: is it compressed or damaged?")
     return gltf.buffer_views[accessor.buffer_view]
 
 
@@ -238,7 +238,7 @@ def _faces(gltf: Gltf, primitive: Primitive) -> int:
     """Triangles of a primitive; points and lines are none (section 3.7.2.1)."""
     corners = (indices_of(gltf, primitive) or positions_of(gltf, primitive)).count
     if primitive.mode == FAN:
-        raise Refused("has triangle fans, which are not read: export it with triangles")
+        raise Refusal("has triangle fans, which are not read: export it with triangles")
     if primitive.mode in POINTS_LINES:
         return 0
     return max(corners - 2, 0) if primitive.mode == STRIP else corners // 3
@@ -250,7 +250,7 @@ def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
         buffer = gltf.buffers[view.buffer] if view.buffer < len(gltf.buffers) else None
         limit = 0 if buffer is None else buffer.byte_length if buffer.uri else min(buffer.byte_length, binary_bytes)
         if view.byte_offset + view.byte_length > limit:
-            raise Refused(f"has buffer view {number} reaching beyond its data of {limit} bytes: is it damaged?")
+            raise Refusal(f"has buffer view {number} reaching beyond its data of {limit} bytes: is it damaged?")
     primitives = [primitive for mesh in gltf.meshes for primitive in mesh.primitives]
     used = (index for part in primitives for index in (part.attributes.position, part.indices))
     for number in sorted({index for index in used if index is not None}):
@@ -260,7 +260,7 @@ def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
         end = accessor.byte_offset + (accessor.count - 1) * (view.byte_stride or item) + item
         if end > view.byte_length:
             held = f"{accessor.count} items in {view.byte_length} bytes"
-            raise Refused(f"has accessor {number} with {held}: is it cut off?")
+            raise Refusal(f"has accessor {number} with {held}: is it cut off?")
 
 
 NO_CHANGE = 1e-8  # a transform that differs less than this from the identity is taken for it
@@ -276,7 +276,7 @@ class MeshPart:
 
 
 def joined(parts: Iterable[MeshPart]) -> tuple[Array, Indices]:
-    """Vertices and faces of all parts with their transforms applied, shapes (K, 3) and (F, 3). Raises `Refused` if
+    """Vertices and faces of all parts with their transforms applied, shapes (K, 3) and (F, 3). Raises `Refusal` if
     there are no faces or too many, or a part contradicts itself."""
     vertices: list[Array] = []
     faces: list[Indices] = []
@@ -309,13 +309,13 @@ def _check(part: MeshPart) -> None:
     """Refuse vertices without three coordinates, and faces with vertices that do not exist."""
     vertices, faces = part.vertices, part.faces
     if vertices.shape[1] != 3 or faces.shape[1] != 3:
-        raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
+        raise Refusal(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
+        raise Refusal(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
 
 
 def glb_parts(glb: Glb) -> Iterator[MeshPart]:
-    """Each primitive of the scene as often as the scene shows it. Raises `Refused` for damaged data."""
+    """Each primitive of the scene as often as the scene shows it. Raises `Refusal` for damaged data."""
     gltf = glb.description
     waiting: list[tuple[int, list[Array]]] = [(index, []) for index in gltf.scenes[gltf.scene].nodes]
     while waiting:
@@ -344,7 +344,7 @@ def _primitive_faces(corners: Indices, mode: int) -> Indices:
         faces[1::2] = faces[1::2, ::-1]
         return faces
     if len(corners) % 3:
-        raise Refused(f"has triangles with {len(corners)} corners, which cannot be divided by three: is it damaged?")
+        raise Refusal(f"has triangles with {len(corners)} corners, which cannot be divided by three: is it damaged?")
     return corners.reshape(-1, 3)
 
 
@@ -357,7 +357,7 @@ def _numbers(glb: Glb, accessor: Accessor) -> NDArray[Any]:
     try:
         return np.ndarray(shape, kind, buffer=data, offset=start, strides=strides)
     except (TypeError, ValueError):  # the data in a URI may be shorter than the description says
-        raise Refused(f"has only {len(data)} bytes of data in buffer {view.buffer}: is it damaged?") from None
+        raise Refusal(f"has only {len(data)} bytes of data in buffer {view.buffer}: is it damaged?") from None
 
 
 def _data(glb: Glb, number: int) -> bytes:
@@ -371,7 +371,7 @@ def _data(glb: Glb, number: int) -> bytes:
     except ValueError:
         content = b""
     if not (found and content):
-        raise Refused(f"has data in buffer {number} that is not base64: is it damaged?")
+        raise Refusal(f"has data in buffer {number} that is not base64: is it damaged?")
     return content
 
 

@@ -13,28 +13,28 @@ MAX_SCANNED_BYTES = 2**30  # faces of a text file have to be counted; a larger f
 MAX_COORDINATE = 1e9  # far beyond any vessel in any unit; products of three do not overflow
 
 
-class Refused(Exception):
+class Refusal(Exception):
     """Reason why a file is refused, as text after its name, such as `is empty`."""
 
 
 def check_faces(count: int) -> None:
-    """Raise `Refused` for too many faces, or none."""
+    """Raise `Refusal` for too many faces, or none."""
     if count > MAX_FACES:
-        raise Refused(f"has {count} faces; a mesh may have at most {MAX_FACES}: simplify it")
+        raise Refusal(f"has {count} faces; a mesh may have at most {MAX_FACES}: simplify it")
     if count == 0:
-        raise Refused("holds no faces, only points or nothing: a mesh of triangles is needed")
+        raise Refusal("holds no faces, only points or nothing: a mesh of triangles is needed")
 
 
 def check_vertices(count: int) -> None:
-    """Raise `Refused` for more vertices than the allowed faces can need."""
+    """Raise `Refusal` for more vertices than the allowed faces can need."""
     if count > MAX_VERTICES:
-        raise Refused(f"has {count} vertices; a mesh may have at most {MAX_VERTICES}: simplify it")
+        raise Refusal(f"has {count} vertices; a mesh may have at most {MAX_VERTICES}: simplify it")
 
 
 def check_size(size: int, most: int = MAX_BYTES) -> None:
-    """Raise `Refused` for more bytes than memory should be spent on."""
+    """Raise `Refusal` for more bytes than memory should be spent on."""
     if size > most:
-        raise Refused(f"has {size / 1e6:.0f} MB; such a file may have at most {most / 1e6:.0f} MB: simplify it")
+        raise Refusal(f"has {size / 1e6:.0f} MB; such a file may have at most {most / 1e6:.0f} MB: simplify it")
 
 
 def leads_outside(reference: str) -> bool:
@@ -45,10 +45,10 @@ def leads_outside(reference: str) -> bool:
 
 
 def check_reference(reference: str, what: str) -> None:
-    """Raise `Refused` for a reference that leads out of the file's folder; none is followed, so others do no harm."""
+    """Raise `Refusal` for a reference that leads out of the file's folder; none is followed, so others do no harm."""
     if leads_outside(reference):
         shortened = reference if len(reference) <= 80 else reference[:77] + "..."
-        raise Refused(f"refers to {shortened!r} ({what}), which is remote or outside its folder: remove the reference")
+        raise Refusal(f"refers to {shortened!r} ({what}), which is remote or outside its folder: remove the reference")
 
 
 CHUNK_BYTES = 2**20
@@ -82,7 +82,7 @@ def _as_utf8(text: bytes) -> bytes:
 
 
 def read_stl(file: BinaryIO, size: int) -> bytes:
-    """The content of an STL file, binary or text. Raises `Refused` if it is none, or too large."""
+    """The content of an STL file, binary or text. Raises `Refusal` if it is none, or too large."""
     header = file.read(84)
     claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
     spare = 50 if claimed else 1  # some programs add a few bytes
@@ -91,29 +91,29 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
         return _whole(file, 84 + 50 * claimed)
     if not header.lstrip().lower().startswith(b"solid"):
         claim = "" if claimed is None else f", whose header would mean {claimed} faces in {84 + 50 * claimed} bytes"
-        raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{claim}")
+        raise Refusal(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{claim}")
     check_faces(_scan(file, size, b"endfacet"))
     content = _whole(file, size)
     if (parts := content.lower().count(b"endsolid")) > MAX_PARTS:
-        raise Refused(f"has {parts} solids; an STL file may have at most {MAX_PARTS}: join them")
+        raise Refusal(f"has {parts} solids; an STL file may have at most {MAX_PARTS}: join them")
     check_vertices(content.lower().count(b"vertex"))
     return _as_utf8(content)
 
 
 def read_ply(file: BinaryIO, size: int) -> bytes:
-    """The content of a PLY file, text or binary. Raises `Refused` if it is none, or too large. Text is returned without
+    """The content of a PLY file, text or binary. Raises `Refusal` if it is none, or too large. Text is returned without
     blank lines and without rows beyond those that the header announces."""
     header = file.read(MAX_LINE_BYTES)
     end = header.find(b"end_header")
     if not header.startswith(b"ply") or end < 0:
-        raise Refused("is not a PLY file: it must begin with 'ply' and a header that ends with 'end_header'")
+        raise Refusal("is not a PLY file: it must begin with 'ply' and a header that ends with 'end_header'")
     counts: dict[str, int] = {}
     for line in header[:end].decode("latin-1").splitlines():
         words = line.split()
         if words[:1] == ["element"]:
             number = words[2] if len(words) == 3 else ""
             if not (number.isdecimal() and len(number) <= MAX_DIGITS) or words[1] in counts:
-                raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
+                raise Refusal(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
             counts[words[1]] = int(number)
     check_faces(counts.get("face", 0))
     for count in counts.values():
@@ -124,13 +124,13 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
         return _as_utf8(content[:start]) + content[start:]
     rows = [row for row in content[start:].splitlines() if row.strip()]
     if len(rows) < sum(counts.values()):
-        raise Refused(f"has {len(rows)} rows of the {sum(counts.values())} that its header announces: is it cut off?")
+        raise Refusal(f"has {len(rows)} rows of the {sum(counts.values())} that its header announces: is it cut off?")
     return _as_utf8(content[:start]) + b"\n".join(rows[: sum(counts.values())]) + b"\n"
 
 
 def read_obj(file: BinaryIO, size: int) -> bytes:
     """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header. Material libraries
-    are passed over, wherever they lie. Raises `Refused` if it is too large."""
+    are passed over, wherever they lie. Raises `Refusal` if it is too large."""
     check_faces(max(1, _scan(file, size, b"\nf ")))  # refuses far too many early; indented ones are counted below
     content = _whole(file, size)
     triangles = vertices = 0
@@ -138,7 +138,7 @@ def read_obj(file: BinaryIO, size: int) -> bytes:
     kept: list[bytes] = []
     for number, line in enumerate(content.replace(b"\\\n", b" ").splitlines(), start=1):
         if len(line) > MAX_LINE_BYTES:
-            raise Refused(f"has a line of {len(line)} characters (line {number}): triangulate its faces")
+            raise Refusal(f"has a line of {len(line)} characters (line {number}): triangulate its faces")
         keyword, _, rest = line.replace(b"\t", b" ").strip().partition(b" ")
         if keyword == b"f":
             corners = rest.split()
@@ -153,7 +153,7 @@ def read_obj(file: BinaryIO, size: int) -> bytes:
     check_faces(triangles)
     check_vertices(vertices)
     if last[0] > vertices:
-        raise Refused(f"has the corner '{last[0]}' in line {last[1]}: there is no such vertex, of {vertices}")
+        raise Refusal(f"has the corner '{last[0]}' in line {last[1]}: there is no such vertex, of {vertices}")
     return _as_utf8(b"\n".join([*kept, b""]))
 
 
@@ -162,8 +162,8 @@ def _corner(corner: bytes, vertices: int, line: int) -> int:
     try:
         index = int(corner.partition(b"/")[0])
     except ValueError:
-        raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}; a number is needed") from None
+        raise Refusal(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}; a number is needed") from None
     index = index if index > 0 else vertices + 1 + index
     if index < 1:
-        raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}: there is no such vertex")
+        raise Refusal(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}: there is no such vertex")
     return index

@@ -19,7 +19,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.validation import Strict, describe, join_path, nearest, shown
 from modsim3d.world.mesh_glb import MeshPart, glb_parts, joined, read_glb
-from modsim3d.world.mesh_limits import Refused, leads_outside, read_obj, read_ply, read_stl
+from modsim3d.world.mesh_limits import Refusal, leads_outside, read_obj, read_ply, read_stl
 from modsim3d.world.vessels import Solid, to_solid
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
@@ -64,33 +64,33 @@ def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object
         axes = GLTF_AXES if path.suffix.lower() == GLB else PLAIN_AXES
         forward, up = parsed.forward or axes[0], parsed.up or axes[1]
         if forward[1] == up[1]:
-            raise Refused(f"has forward {forward} and up {up}; two different axes are needed")
+            raise Refusal(f"has forward {forward} and up {up}; two different axes are needed")
         return to_solid(*_triangles(path), forward, up)
-    except Refused as problem:
+    except Refusal as problem:
         raise InputError(source, [f"{join_path(*where)}: {shown(parsed.file)} {problem}"]) from None
 
 
 def _find(file: str, folder: Path) -> Path:
     """The path of a mesh file, which must lie in the folder and have a known ending."""
     if not file or not file.isprintable():
-        raise Refused("cannot be a file's name")
+        raise Refusal("cannot be a file's name")
     if leads_outside(file):
-        raise Refused("is remote or outside the scene's folder: put the mesh into that folder, and name it from there")
+        raise Refusal("is remote or outside the scene's folder: put the mesh into that folder, and name it from there")
     suffix = Path(file).suffix.lower()
     if suffix not in (GLB, *READERS):
         hint = nearest(file, shipped_meshes())
-        raise Refused(f"is no shipped mesh ({hint}), and no file that ends in one of {', '.join((GLB, *READERS))}")
+        raise Refusal(f"is no shipped mesh ({hint}), and no file that ends in one of {', '.join((GLB, *READERS))}")
     path = folder / file
     try:
         if not path.resolve().is_relative_to(folder.resolve()):
-            raise Refused("is a link that leads out of the scene's folder: put the mesh itself there")
+            raise Refusal("is a link that leads out of the scene's folder: put the mesh itself there")
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise Refused("does not exist") from None
+        raise Refusal("does not exist") from None
     except (OSError, RuntimeError) as error:  # a loop of links is a RuntimeError before Python 3.13
-        raise Refused(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise Refusal(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if not stat.S_ISREG(mode):
-        raise Refused(f"is {'a folder' if stat.S_ISDIR(mode) else 'no ordinary file'}; a mesh file was expected")
+        raise Refusal(f"is {'a folder' if stat.S_ISDIR(mode) else 'no ordinary file'}; a mesh file was expected")
     return path
 
 
@@ -101,13 +101,13 @@ def _triangles(path: Path) -> tuple[Array, Indices]:
         with path.open("rb") as file:
             size = path.stat().st_size
             if size == 0:
-                raise Refused("is empty")
+                raise Refusal("is empty")
             if suffix != GLB:
                 return joined(_parts(file, size, suffix))
             with np.errstate(all="ignore"):  # vertices that are not finite are refused later
                 return joined(glb_parts(read_glb(file, size)))
     except OSError as error:
-        raise Refused(f"cannot be read: {error.strerror}") from None
+        raise Refusal(f"cannot be read: {error.strerror}") from None
 
 
 def _parts(file: BinaryIO, size: int, suffix: str) -> Iterator[MeshPart]:
@@ -118,7 +118,7 @@ def _parts(file: BinaryIO, size: int, suffix: str) -> Iterator[MeshPart]:
         with _strictly():
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, skip_materials=True, process=False)
     except Exception as error:  # a parser may raise anything on a damaged file
-        raise Refused(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
+        raise Refusal(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
     for name in scene.graph.nodes_geometry:
         transform, geometry = scene.graph[name]
         part = scene.geometry[geometry]

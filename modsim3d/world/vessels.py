@@ -18,7 +18,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.io.plugins import SHAPES, Plugin, failed, load_plugin
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import MAX_PROBLEMS, Limits, Strict, describe, join_path, kind_of, shown
-from modsim3d.world.mesh_limits import MAX_COORDINATE, Refused, check_faces, check_vertices
+from modsim3d.world.mesh_limits import MAX_COORDINATE, Refusal, check_faces, check_vertices
 
 if TYPE_CHECKING:
     import trimesh
@@ -291,14 +291,14 @@ def vehicle_R_file(forward: str, up: str) -> Array:
 def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     """The solid of a mesh, its bounding box scaled to the unit box. The vertices (K, 3) are in any unit; faces are
     their indices (F, 3). `forward` and `up` are the axes of the file that point to the bow and up, such as `+x`. Raises
-    `Refused` if a vertex is not finite, there are no faces, or the mesh is flat along an axis."""
+    `Refusal` if a vertex is not finite, there are no faces, or the mesh is flat along an axis."""
     check_faces(len(faces))
     check_vertices(len(vertices))
     bad = ~(np.abs(vertices) <= MAX_COORDINATE).all(axis=1)
     if bad.any():
         first = int(np.argmax(bad))
         value = [float(x) for x in vertices[first]]
-        raise Refused(
+        raise Refusal(
             f"has {int(bad.sum())} of {len(vertices)} vertices that are NaN, infinite or beyond {MAX_COORDINATE:g} "
             f"(the first is number {first}, {value}): export it again"
         )
@@ -325,7 +325,7 @@ def _unit_box(vertices: Array) -> tuple[Array, Array]:
     rounding = 1e-6 * float(extents.max())
     if (extents <= rounding).any():
         flat = [name for name, extent in zip(EXTENTS, extents, strict=True) if extent <= rounding]
-        raise Refused(f"has no {' and no '.join(flat)}: a solid is needed, or other axes (`forward` and `up`)")
+        raise Refusal(f"has no {' and no '.join(flat)}: a solid is needed, or other axes (`forward` and `up`)")
     unit: Array = np.clip((vertices - low) / extents, 0.0, 1.0) - np.array([0.5, 0.5, 0.0])
     return unit, extents
 

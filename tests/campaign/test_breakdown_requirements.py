@@ -10,7 +10,7 @@ from modsim3d.campaign.verdicts.wording import score_name, warnings_of
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import rules_of
 from modsim3d.tracking.scores.breakdown import BINS
-from modsim3d.tracking.scores.scored_run import Scored
+from modsim3d.tracking.scores.scored_run import ScoredRun
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.campaigns import campaign_file, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
@@ -111,7 +111,7 @@ def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(t
     (row,) = result.table.to_pylist()
     with closing(RunLayers(keys, tmp_path, tmp_path / "layers")) as layers:
         made = layers.made(plan.run(0))
-    scores = scores_of(Scored.of(made.rows, made.tracks, rules_of(keys.score)))
+    scores = scores_of(ScoredRun.of(made.rows, made.tracks, rules_of(keys.score)))
     nothing = {"vessel_frames": 0, "recall": None, "occlusions": 0, "judged": 0, "survived": None, "to_survive": 0}
     for group in scores.breakdown:
         for name in BINS.get(group.name, ()):

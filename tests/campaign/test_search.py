@@ -14,7 +14,7 @@ from modsim3d.campaign.keys import SearchKeys
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.running import DIED, Progress
 from modsim3d.campaign.search import NO_RATE, SearchResult, run_search
-from modsim3d.campaign.search_folder import Point, Tried, proposed, search_table, trial_run
+from modsim3d.campaign.search_folder import Point, TriedPoint, proposed, search_table, trial_run
 from modsim3d.campaign.work import task as tasks
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import row_of
@@ -142,13 +142,13 @@ def search_of(**keys: object) -> SearchKeys:
     return SearchKeys.model_validate({"minimise": "hota", "over": {"x": [0, 1]}, "budget": 60, **keys})
 
 
-def tried_of(points: list[Point], score: object, crashed: bool = False) -> list[Tried]:
-    return [Tried(point, None if crashed else score(point), crashed) for point in points]  # type: ignore[operator]
+def tried_of(points: list[Point], score: object, crashed: bool = False) -> list[TriedPoint]:
+    return [TriedPoint(point, None if crashed else score(point), crashed) for point in points]  # type: ignore[operator]
 
 
-def searched(search: SearchKeys, seed: int, score: object) -> list[Tried]:
+def searched(search: SearchKeys, seed: int, score: object) -> list[TriedPoint]:
     """All trials of a search for the least score."""
-    found: list[Tried] = []
+    found: list[TriedPoint] = []
     for batch in range(-(-search.budget // search.batch)):
         found += tried_of(proposed(search, seed, batch, found), score)
     return found

@@ -8,7 +8,7 @@ import pytest
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.learn.bootstrap import entries_of, resample
 from modsim3d.learn.match_types import NAMES
-from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
+from modsim3d.learn.persistent_false_positives import LifetimeFit, find_lifetime
 from tests.formats.labelled_files import found, images, truth
 from tests.learn.one_state import PROVENANCE, detected, detector_file, learned_from, observed_in, of_boats
 
@@ -128,7 +128,7 @@ def learned_to_stay(rate: float, seed: int, stays: int = 0) -> bool:
     detections = found(image, 0 * image, np.hstack([centre - side, centre + side]), np.full(len(image), 0.5))
     frames = images(FEW_FRAMES, time_s=np.arange(FEW_FRAMES) * 0.25)
     observed = observed_in(of_boats(frames, truth([], [], []), detections), without=NAMES)  # which belong to vessels
-    return isinstance(find_lasting(observed, np.full(FEW_FRAMES, len(image) / FEW_FRAMES)), Lasting)
+    return isinstance(find_lifetime(observed, np.full(FEW_FRAMES, len(image) / FEW_FRAMES)), LifetimeFit)
 
 
 def test_none_is_invented_in_two_hundred_sets_and_those_that_stay_are_found() -> None:

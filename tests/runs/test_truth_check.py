@@ -19,7 +19,7 @@ from modsim3d.runs.truth_check import TruthCheckError, frame_count
 from modsim3d.scene import sight
 from modsim3d.truth import buffer_drawing, outlines, rendered
 from modsim3d.truth.crosscheck import comparison
-from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.crosscheck.comparison import CheckCounts
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
 from tests.cli.bad_input.builders import Call, answer
@@ -146,7 +146,7 @@ def test_streams_and_frames_in_memory_are_checked_and_the_row_says_what_was_draw
     assert truth_check.STREAM_STEPS == 1000
     scene = load_scene("simulation_1")
     equal = "1 vessel: pixels equal, boxes within 0.00 px of corner projection"
-    rows = [_check_rows(scene, Checked(frames=frames, vessels=max(frames - 1, 0)))[0][1:] for frames in (0, 1, 2)]
+    rows = [_check_rows(scene, CheckCounts(frames=frames, vessels=max(frames - 1, 0)))[0][1:] for frames in (0, 1, 2)]
     assert rows == [("nothing", "no camera took a frame"), ("1 frame", "no vessel in it"), ("2 frames", equal)]
     samples = [truth_check._sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
     assert samples[0] == samples[1] != samples[2] and len(samples[0]) == frame_count(scene) == 4
@@ -254,7 +254,7 @@ def test_nothing_is_drawn_for_other_sources_and_the_summary_says_what_was(call: 
         status, said = call("run", path, "--set", f"annotation.{option}", "--out", tmp_path / option, "--no-sheet")
         assert status == 0 and row in " ".join(said.split()), said
         checked = json.loads((tmp_path / option / "run.json").read_text())["crosscheck"]
-        assert (checked == asdict(Checked())) == (row == nothing), option
+        assert (checked == asdict(CheckCounts())) == (row == nothing), option
 
 
 @pytest.mark.parametrize("supersample", [1, 2])

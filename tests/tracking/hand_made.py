@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from modsim3d import RunRows, Scene, Tracks
 from modsim3d.runs.files.table_columns import schema_of
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from tests.scenes import camera_keys
 
 VESSELS = 6
@@ -50,9 +50,9 @@ class Tracked(NamedTuple):
     covariance_px2: Sequence[Sequence[float]] = ((np.nan, np.nan), (np.nan, np.nan))
 
 
-def hand_made(truth: Iterable[tuple], tracks: Iterable[tuple], steps: int, *, rules=None, cameras=1, **keys) -> Scored:
+def hand_made(truth: Iterable[tuple], tracks: Iterable[tuple], steps: int, *, rules=None, cameras=1, **keys) -> ScoredRun:
     """Tracks, as for `Tracked`, held against truth, as for `Seen`; keys as those of `rows_of`."""
-    return Scored.of(rows_of(truth, steps, cameras=cameras, **keys), tracks_of(tracks, cameras), rules or Rules())
+    return ScoredRun.of(rows_of(truth, steps, cameras=cameras, **keys), tracks_of(tracks, cameras), rules or Rules())
 
 
 def rows_of(truth: Iterable[tuple], steps: int, *, cameras=1, states=None, step_s=1.0) -> RunRows:

@@ -18,7 +18,7 @@ from modsim3d.formats.writing import mot
 from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.tracking.kalman import MotionEstimates
 from modsim3d.tracking.scores.association import by_trackeval, sequence
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame
 from modsim3d.tracking.trackers.reference import ReferenceTracker
 from modsim3d.tracks.tracks import Similarity
@@ -29,11 +29,11 @@ from tests.tracking.hand_made import Seen, box, hand_made, rows_of, tracks_of
 A, B, FAR = box(0), box(100), box(300)
 
 
-def values(scored: Scored) -> dict[str, object]:
+def values(scored: ScoredRun) -> dict[str, object]:
     return {key: value for part in by_trackeval(scored) for key, value in vars(part).items()}
 
 
-def check(scored: Scored, **expected: object) -> None:
+def check(scored: ScoredRun, **expected: object) -> None:
     found = values(scored)
     assert {key: found[key] for key in expected} == pytest.approx(expected, abs=1e-12)
 
@@ -102,7 +102,7 @@ def test_cameras_have_tracks_of_their_own_and_thresholds_without_a_match_count_f
 
 
 def test_what_is_0_divided_by_0_is_none() -> None:
-    def unknown(scored: Scored) -> set[str]:
+    def unknown(scored: ScoredRun) -> set[str]:
         return {key for key, value in values(scored).items() if value is None}
 
     ratios = {"hota", "deta", "assa", "detre", "detpr", "assre", "asspr", "loca", "hota_by_alpha", "mota", "motp"}
@@ -123,7 +123,7 @@ def test_trackeval_prints_nothing_and_without_it_the_error_says_what_to_install(
         by_trackeval(hand_made([], [], 1))
 
 
-def noisy(seed: int, cameras: int = 3, steps: int = 30) -> Scored:
+def noisy(seed: int, cameras: int = 3, steps: int = 30) -> ScoredRun:
     """Vessels that move and tracks near them, with misses, switches and false boxes."""
     rng = np.random.default_rng(seed)
     truth, tracks = [], []
@@ -152,7 +152,7 @@ def test_all_cameras_as_one_sequence_score_what_trackeval_combines_from_one_each
     check_the_one_matching_is_that_of_clear(scored)
 
 
-def check_the_one_matching_is_that_of_clear(scored: Scored) -> None:
+def check_the_one_matching_is_that_of_clear(scored: ScoredRun) -> None:
     rows, track_rows = scored.pairs
     identities, track = scored.following.truth.identity[rows], scored.following.tracks.identity[track_rows]
     order = np.lexsort((scored.following.truth.frame[rows], identities))
@@ -178,7 +178,7 @@ def test_memory_does_not_grow_with_the_square_of_the_tracks_and_the_order_of_row
     truth, tracks = scored.following.truth, scored.following.tracks
     seen = list(zip(truth.frame.tolist(), truth.vessel.tolist(), map(tuple, truth.boxes_px.tolist()), strict=True))
     found = list(zip(tracks.frame.tolist(), tracks.track.tolist(), map(tuple, tracks.boxes_px.tolist()), strict=True))
-    again = Scored.of(rows_of(seen[::-1], 30, cameras=3), tracks_of(found[::-1], 3), Rules())
+    again = ScoredRun.of(rows_of(seen[::-1], 30, cameras=3), tracks_of(found[::-1], 3), Rules())
     assert values(again) == values(scored)
 
 
@@ -203,7 +203,7 @@ def test_the_scores_are_those_of_trackeval_over_the_exported_run_and_the_matchin
     tracks = by_provenance(rows, coasting=False)
     later = tracks.step > 20  # from where on the same vessels have other tracks
     switched = Tracks.of(tracks.cameras, tracks.frame, tracks.track + 50 * later, tracks.boxes_px)
-    scored = Scored.of(rows, switched, Rules())
+    scored = ScoredRun.of(rows, switched, Rules())
     assert scored.following.counted.all()
     check_the_one_matching_is_that_of_clear(scored)
     tracks = by_provenance(rows)
@@ -216,7 +216,7 @@ def test_the_scores_are_those_of_trackeval_over_the_exported_run_and_the_matchin
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = ("{:.0f},{:.0f},{:.12g},{:.12g},{:.12g},{:.12g},1,-1,-1,-1\n".format(*row) for row in table)
         path.write_text("".join(lines))
-    scored = Scored.of(rows, tracks, Rules())
+    scored = ScoredRun.of(rows, tracks, Rules())
     assert scored.following.truth.hidden.any() and not scored.following.counted.all()
     hota, clear, identity = by_trackeval(scored)
     found = hota.hota, clear.mota, identity.idf1

@@ -11,7 +11,7 @@ from modsim3d.tracking.score_page import _cells
 from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity, false_track_lengths_s
 from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival, within
-from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s
+from modsim3d.tracking.scores.scored_run import ScoredRun, frame_lengths_s
 from modsim3d.view.pages.tables import table
 from tests.tracking.hand_made import LABELS, Seen, box, hand_made, placed
 
@@ -20,7 +20,7 @@ VISIBLE = (1, 1, 1, 0.5, 0.3, 0.2, 0, 1, 1, 1, 1, 1, 1, 1)
 """Of one vessel in 14 frames, 0.5 s apart: it is occluded from 2 to 3.5 s."""
 
 
-def seen(tracks: Sequence[tuple[int, int]], visible: Sequence[float | None] = VISIBLE) -> Scored:
+def seen(tracks: Sequence[tuple[int, int]], visible: Sequence[float | None] = VISIBLE) -> ScoredRun:
     """A vessel, and tracks on it as (frame, track)."""
     truth = [Seen(k, 0, A, fraction) for k, fraction in enumerate(visible)]
     return hand_made(truth, [(frame, track, A) for frame, track in tracks], 14, step_s=0.5)
@@ -132,7 +132,7 @@ def test_each_group_has_the_values_that_were_worked_out_and_occlusions_are_survi
     assert not any(group.rows for group in breakdown(hand_made([], [(0, 1, box())], 2)))
 
 
-def random(seed: int) -> Scored:
+def random(seed: int) -> ScoredRun:
     """Vessels with random visibility, range and place in the image, and tracks that switch and miss."""
     rng = np.random.default_rng(seed)
     truth, tracks = [], []

@@ -8,7 +8,7 @@ import pytest
 
 from modsim3d import RunRows, Tracks
 from modsim3d.tracking.lookout import LOST_S, approaches, tracks_in_images, tracks_in_world
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracking.scores.trajectories import TrajectorySets, ospa2, t_gospa
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
 from tests.scenes import camera_keys
@@ -190,7 +190,7 @@ def test_tracks_in_the_images_are_those_of_own_ships_cameras_and_each_camera_has
 
     def kept(chosen):
         tracks = Tracks.of(3, frame[chosen], np.full(int(chosen.sum()), 7), boxes[chosen])
-        following = Scored.of(rows, tracks, Rules()).following
+        following = ScoredRun.of(rows, tracks, Rules()).following
         found = {each.vessel: each for each in approaches(rows, tracks_in_images(rows, following))}
         return found[NAMES[ANCHORED]]
 

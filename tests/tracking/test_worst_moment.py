@@ -1,6 +1,6 @@
 """The moment at which a run went wrong, on hand-made truth and tracks."""
 
-from modsim3d.tracking.scores.scored_run import Scored
+from modsim3d.tracking.scores.scored_run import ScoredRun
 from modsim3d.tracking.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_mistake, worst_moment_s
 from tests.tracking.hand_made import box, hand_made
 
@@ -14,7 +14,7 @@ def followed(vessel: int, x: float, lost: range = range(0), switch: int = STEPS)
     return truth, tracks
 
 
-def scored_of(*vessels: tuple[list[tuple], list[tuple]], step_s: float = 1.0) -> Scored:
+def scored_of(*vessels: tuple[list[tuple], list[tuple]], step_s: float = 1.0) -> ScoredRun:
     truth, tracks = ([row for vessel in vessels for row in vessel[part]] for part in (0, 1))
     return hand_made(truth, tracks, STEPS, step_s=step_s)
 

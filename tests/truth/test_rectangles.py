@@ -132,7 +132,7 @@ def test_what_pieces_of_one_obstacle_hide_together_counts_once():
     silhouettes = np.array([shapely.box(0, 0, 10, 10), shapely.box(0, 0, 5, 10), shapely.box(4, 0, 8, 10)])
     silhouettes = np.append(silhouettes, shapely.box(7, 0, 12, 10))
     occluder = np.array([0, 7, 7, 3])
-    hiding = analytic.Hiding.of(np.array([0, 0, 0, 2]), np.array([3, 1, 2, 3]))
+    hiding = analytic.Hiders.of(np.array([0, 0, 0, 2]), np.array([3, 1, 2, 3]))
     areas = analytic.hidden_areas(silhouettes, hiding, occluder)
     np.testing.assert_allclose(areas, [70, 0, 30, 10])
     hidden = hidden_by(hiding, areas, occluder)

@@ -17,7 +17,7 @@ from benchmarks.campaigns import compare as campaign
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import sight
 from modsim3d.truth import analytic, occlusion_order, rendered
-from modsim3d.truth.analytic import Hiding
+from modsim3d.truth.analytic import Hiders
 from modsim3d.truth.crosscheck.drawing import Drawing
 from modsim3d.truth.occlusion import HiddenPixels
 from modsim3d.verify.sources import agreement, compare
@@ -347,7 +347,7 @@ MUTANTS = {
     ),
     "order, drawing": in_drawing(lambda depth, occluder: np.where(occluder == 0, 1.0, depth)),
     "near and far, fast path": in_fast_path(lambda outlines, lens: (behind_is_before(outlines), lens)),
-    "near and far, analytic": lambda m: wrap(m, Hiding, "of", lambda of, hidden, hiders: of(hiders, hidden)),
+    "near and far, analytic": lambda m: wrap(m, Hiders, "of", lambda of, hidden, hiders: of(hiders, hidden)),
     "near and far, drawing": in_drawing(lambda depth, occluder: depth.max() + depth.min() - depth),
     "near and far, every ID buffer": farthest_wins,
     "corners, fast path": in_fast_path(first_shifted),

@@ -14,7 +14,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.verify.box_error_checks import latent_paths, state_fits
 from modsim3d.verify.class_checks import at_each, memory_checks, miss_covariance, off_diagonal, variance_of_sum
-from modsim3d.verify.confidence_checks import Clipped, KeptScores
+from modsim3d.verify.confidence_checks import KeptScores, TobitModel
 from modsim3d.verify.error_fit import Draw, MomentTable, capped_poisson, miss_residuals, residuals_of
 from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.independence_checks import GROUP, group_sums, independence_checks, lag_sums
@@ -70,7 +70,7 @@ def test_statistics_of_confidences_that_persist_have_the_spread_of_a_standard_no
     found = []
     for _ in range(120):
         scores = np.clip(mean - 0.3 * hidden + 0.1 * chains(rng).ravel(), 0.2, 1)
-        measures = Clipped(scores, design, 0.2, ours).measures(np.array([mean, 0.3]), 0.1)
+        measures = TobitModel(scores, design, 0.2, ours).measures(np.array([mean, 0.3]), 0.1)
         found.append([0.0 if each is None else each.z for each in measures])
     assert np.all(np.abs(np.mean(found, axis=0)) < 0.5)
     assert np.all((np.std(found, axis=0) > 0.7) & (np.std(found, axis=0) < 1.3))

@@ -19,7 +19,7 @@ from modsim3d.detector.truncation import ordered_root
 from modsim3d.verify import measures
 from modsim3d.verify.box_error_checks import latent_paths, replayed_errors
 from modsim3d.verify.class_checks import inflation, lag_pairs
-from modsim3d.verify.confidence_checks import Clipped
+from modsim3d.verify.confidence_checks import TobitModel
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step, fitted_law
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.figures import expected_run_lengths
@@ -184,7 +184,7 @@ def test_clipped_scores_are_derivatives_and_occupancy_and_inflation_laws_those_o
     design = np.column_stack([np.ones(300), -hidden])
     for _ in range(40):
         scores = np.clip(0.85 - 0.4 * hidden + 0.25 * rng.standard_normal(300), 0.2, 1)
-        z.append([measure.z for measure in Clipped(scores, design, 0.2).measures(np.array([0.85, 0.4]), 0.25)])
+        z.append([measure.z for measure in TobitModel(scores, design, 0.2).measures(np.array([0.85, 0.4]), 0.25)])
     z = np.array(z)
     assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(40) and np.abs(z.std(axis=0) - 1).max() < 4 / np.sqrt(80)
     transitions = np.array([1, 0, 2, 1, 1])

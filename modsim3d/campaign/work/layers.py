@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from modsim3d.campaign.keys import CampaignKeys, Layer
 from modsim3d.campaign.plan import PlannedRun
-from modsim3d.campaign.work.scenes import Latest, Scenes, detector_digest, digest, tracker_of, truth_digest
+from modsim3d.campaign.work.scenes import LruCache, Scenes, detector_digest, digest, tracker_of, truth_digest
 from modsim3d.core.errors import OutputError
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.runs.files import tables
@@ -201,7 +201,7 @@ def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class LayeredRun:
     """One run in all its layers, with the checksums of all that decides each."""
 
     rows: RunRows
@@ -224,14 +224,14 @@ class RunLayers:
         self._stored = StoredLayers(cache, keys.keep)
         self._opened = ExitStack()
         self._renderer: IdRenderer | None = None
-        self._truth: Latest[TruthLayer] = Latest(2)
-        self._rows: Latest[RunRows] = Latest(1)
+        self._truth: LruCache[TruthLayer] = LruCache(2)
+        self._rows: LruCache[RunRows] = LruCache(1)
 
     def close(self) -> None:
         """End the OpenGL context."""
         self._opened.close()
 
-    def made(self, run: PlannedRun) -> Made:
+    def made(self, run: PlannedRun) -> LayeredRun:
         """All layers of a run. Raises ModsimError if the scene, the detector or the tracker cannot be what the run asks
         for, and OutputError if a layer that is kept cannot be written."""
         scene = self._scenes.of(run.condition, run.traffic_seed, run.detector_seed)
@@ -243,14 +243,14 @@ class RunLayers:
         plugin = [named.plugin.sha256] if named.plugin else []
         tracks_key = digest(detections_key, vars(named.origin), *plugin)
         if not self._keys.timed:
-            return Made(rows, self._tracks_of(rows, named, tracks_key), truth_key, detections_key, tracks_key)
+            return LayeredRun(rows, self._tracks_of(rows, named, tracks_key), truth_key, detections_key, tracks_key)
         found = run_tracker(named, rows)
         self._keep(found.tracks, rows.scene, tracks_key)
         took: dict[str, Any] = {f"frame_ms_{name}": value for name, value in found.frame_ms.items()}
         took["peak_memory_mb"] = found.peak_memory_mb
         if run.number < len(self._keys.trackers) and isinstance(named.tracker, CommandTracker):
             took["repeats"] = same_tracks(found.tracks, run_tracker(named, rows).tracks)
-        return Made(rows, found.tracks, truth_key, detections_key, tracks_key, took)
+        return LayeredRun(rows, found.tracks, truth_key, detections_key, tracks_key, took)
 
     def _open(self, scene: Scene) -> IdRenderer | None:
         """The renderer of the process, which is opened once; None if the scene needs none."""

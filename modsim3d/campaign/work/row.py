@@ -13,7 +13,7 @@ import pyarrow as pa
 from modsim3d.campaign.keys import TIMES, CampaignKeys, Requirement, ScoreKeys, SearchKeys, WorldScoreKeys
 from modsim3d.campaign.plan import CAMERA, GROUPS, STATE, Plan
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
-from modsim3d.campaign.work.layers import Made
+from modsim3d.campaign.work.layers import LayeredRun
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.coprocess import CoprocessError
@@ -22,7 +22,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.lookout import approaches, tracks_in_images, tracks_in_world
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.breakdown import BINS, Group
-from modsim3d.tracking.scores.scored_run import Rules, Scored, SetDistance
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
 from modsim3d.tracking.world.scoring import score_world
@@ -76,7 +76,7 @@ def rules_of(keys: ScoreKeys) -> Rules:
     return Rules(keys.truth, keys.gap_s, similarity, set_distance=SetDistance(keys.gospa_c, keys.gospa_p))
 
 
-def row_of(number: int, made: Made, keys: ScoreKeys, lookout: bool = False) -> dict[str, Any]:
+def row_of(number: int, made: LayeredRun, keys: ScoreKeys, lookout: bool = False) -> dict[str, Any]:
     """Row of a run, scored by the keys; what the tracker took stands beside the scores, and `lookout` asks for its
     approaches too."""
     row = _common(number, made)
@@ -89,7 +89,7 @@ def row_of(number: int, made: Made, keys: ScoreKeys, lookout: bool = False) -> d
             following = follow_in_world(WorldTruth.of(made.rows), made.tracks, world.gate_m)
             row[APPROACHES] = _approaches_text(made.rows, tracks_in_world(made.rows, following))
         return row | {world_column(name): found[name] for name in found if world_column(name) in WORLD_SCORES}
-    scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules_of(keys))
+    scene, scored = made.rows.scene, ScoredRun.of(made.rows, made.tracks, rules_of(keys))
     scores = scores_of(scored)
     row |= {"worst_s": worst_moment_s(scored), **keys_of(scores)}
     if len(scene.detector.states) > 1:
@@ -103,7 +103,7 @@ def row_of(number: int, made: Made, keys: ScoreKeys, lookout: bool = False) -> d
     return row
 
 
-def _common(number: int, made: Made) -> dict[str, Any]:
+def _common(number: int, made: LayeredRun) -> dict[str, Any]:
     scene = made.rows.scene
     times_s = scene.times_s(0, scene.steps)
     return {

@@ -107,7 +107,7 @@ def _name(path: Path, base: Path) -> str:
 T = TypeVar("T")
 
 
-class Latest(Generic[T]):
+class LruCache(Generic[T]):
     """The last few things by their keys."""
 
     def __init__(self, most: int) -> None:
@@ -168,9 +168,9 @@ class Scenes:
         """Take the number of steps, None for that of each scene, and the folder that paths in conditions are relative
         to. `learned` draws detectors from what `modsim3d learn` says of them, one for each traffic seed."""
         self._steps, self.folder, self._learned = steps, folder, learned
-        self._scenes: Latest[tuple[str, Scene]] = Latest(4)
-        self._detectors: Latest[DetectorModel] = Latest(64)
-        self._known: Latest[tuple[Path, LearnedUncertainty]] = Latest(64)
+        self._scenes: LruCache[tuple[str, Scene]] = LruCache(4)
+        self._detectors: LruCache[DetectorModel] = LruCache(64)
+        self._known: LruCache[tuple[Path, LearnedUncertainty]] = LruCache(64)
 
     def of(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
         """Scene of a run with its seed and that of its detector; InputError if the scene or the detector is wrong."""

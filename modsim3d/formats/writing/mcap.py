@@ -229,7 +229,7 @@ def _cameras_that_add_angles(scene: Scene, names: BagNames) -> list[int]:
     return [index for index in names.cameras if scene.cameras[index].mount.vessel is not None]
 
 
-class Stamped(NamedTuple):
+class StampedMessage(NamedTuple):
     """A message, its topic, and its time."""
 
     stamp_ns: int
@@ -279,11 +279,11 @@ class BagRecording:
         )
         _write(truth, [self._vessels(block), *(self._truth(part) for part in parts)])
 
-    def _moving(self, block: Block, places: list[FramePlace]) -> Iterator[Stamped]:
+    def _moving(self, block: Block, places: list[FramePlace]) -> Iterator[StampedMessage]:
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
-            yield Stamped(stamp, "/tf", self._make.transforms(stamp, [(place, row) for place in places]))
+            yield StampedMessage(stamp, "/tf", self._make.transforms(stamp, [(place, row) for place in places]))
 
-    def _own_ship(self, block: Block, motion: OwnMotion) -> Iterator[Stamped]:
+    def _own_ship(self, block: Block, motion: OwnMotion) -> Iterator[StampedMessage]:
         prefix, unit = self._names.vessels[motion.vessel], self._names.imu(motion.vessel)
         imu = self._scene.imu  # variances of all errors are those of noise and offset
         rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
@@ -292,32 +292,32 @@ class BagRecording:
         variances = mcap_messages.Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
             speeds = motion.velocities_m_s[row], motion.rates_rad_s[row]
-            yield Stamped(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
-            yield Stamped(stamp, f"/{prefix}imu", self._make.imu(stamp, unit, motion.measured, row, variances))
+            yield StampedMessage(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
+            yield StampedMessage(stamp, f"/{prefix}imu", self._make.imu(stamp, unit, motion.measured, row, variances))
 
-    def _camera(self, part: CameraBlock) -> Iterator[Stamped]:
+    def _camera(self, part: CameraBlock) -> Iterator[StampedMessage]:
         name, frame = self._names.cameras[part.camera], self._names.optical(part.camera)
         intrinsics = self._scene.cameras[part.camera].intrinsics
         for stamp, boxes in self._stamped(part, mcap_messages.detected_boxes(part, self._scene)):
-            yield Stamped(stamp, f"/{name}/camera_info", self._make.camera_info(stamp, frame, intrinsics))
-            yield Stamped(stamp, f"/{name}/detections", self._make.detections(stamp, frame, boxes))
+            yield StampedMessage(stamp, f"/{name}/camera_info", self._make.camera_info(stamp, frame, intrinsics))
+            yield StampedMessage(stamp, f"/{name}/detections", self._make.detections(stamp, frame, boxes))
 
-    def _truth(self, part: CameraBlock) -> Iterator[Stamped]:
+    def _truth(self, part: CameraBlock) -> Iterator[StampedMessage]:
         topic, frame = f"/truth/{self._names.cameras[part.camera]}/boxes", self._names.optical(part.camera)
         for stamp, boxes in self._stamped(part, mcap_messages.true_boxes(part, self._scene)):
-            yield Stamped(stamp, topic, self._make.detections(stamp, frame, boxes))
+            yield StampedMessage(stamp, topic, self._make.detections(stamp, frame, boxes))
 
-    def _vessels(self, block: Block) -> Iterator[Stamped]:
+    def _vessels(self, block: Block) -> Iterator[StampedMessage]:
         vessels = vessels_in_map(self._scene, block.first, block.stop)
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
             present = [(place, row) for place, there in vessels if there[row]]
-            yield Stamped(stamp, "/tf", self._make.transforms(stamp, present))
+            yield StampedMessage(stamp, "/tf", self._make.transforms(stamp, present))
 
     def _stamped(self, part: CameraBlock, frames: Iterable[FrameBoxes]) -> Iterator[tuple[int, FrameBoxes]]:
         return zip((self._stamps_ns[step] for step in part.steps.tolist()), frames, strict=True)
 
 
-def _write(bag: Bag, sources: Iterable[Iterator[Stamped]]) -> None:
+def _write(bag: Bag, sources: Iterable[Iterator[StampedMessage]]) -> None:
     """Write the messages of sources in order of time, and at one time in the order of the sources."""
     for stamp_ns, topic, message in heapq.merge(*sources, key=lambda stamped: stamped.stamp_ns):
         bag.write(topic, stamp_ns, message)

@@ -129,7 +129,7 @@ _POINTS_IN_ALL = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
-class Completed:
+class CompletedEdges:
     """Edges of some boxes, with points in place of what is open."""
 
     rows: Indices  # the boxes, shape (m,)
@@ -138,13 +138,13 @@ class Completed:
     log_likelihood: Array  # of the known and censored edges, shape (m,)
 
 
-def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[Completed]:
+def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[CompletedEdges]:
     """All boxes, those with the same edges known together."""
     for rows, ours in edges.alike:
         yield _of_pattern(model, ours, rows)
 
 
-def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Completed:
+def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> CompletedEdges:
     """Boxes of which the same edges are known and censored, and their rows."""
     known, censored = edges.known[0], edges.censored[0]
     order = np.argsort(np.where(known, 0, np.where(censored, 1, 2)), kind="stable")
@@ -159,7 +159,7 @@ def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Comple
         zeta[:, j] = (moved[:, j] - (root[:, j, :j] * zeta[:, :j]).sum(axis=1)) / root[:, j, j]
     value = _log_density(model, zeta[:, :count]) - np.log(np.diagonal(root[:, :count, :count], axis1=1, axis2=2)).sum(1)
     if count == 4:
-        return Completed(rows, edges.outward_px[:, None], np.ones((len(rows), 1)), value)
+        return CompletedEdges(rows, edges.outward_px[:, None], np.ones((len(rows), 1)), value)
     uniforms = _uniforms(len(rows), 4 - count + model.heavy)
     points, scale = np.zeros((*uniforms.shape[:2], 4)), np.ones(uniforms.shape[:2])
     points[..., :count] = zeta[:, None, :count]
@@ -184,7 +184,7 @@ def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Comple
         weights = np.where(passes.any(axis=1, keepdims=True), weights * passes, weights)
         total = np.maximum(weights.mean(axis=1), 1e-300)
     weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
-    return Completed(rows, outward, weights, value + np.log(np.maximum(total, 1e-300)))
+    return CompletedEdges(rows, outward, weights, value + np.log(np.maximum(total, 1e-300)))
 
 
 @lru_cache(maxsize=128)

@@ -134,8 +134,8 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Registering:
-    """Options of registration: `Registering(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")`.
+class RegistrationOptions:
+    """Options: `RegistrationOptions(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")` registers.
     Parameters in `fixed` stay as the scene has them, and detections below `least_confidence` take no part."""
 
     fixed: tuple[str, ...] = ()

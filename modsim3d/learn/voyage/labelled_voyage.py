@@ -19,7 +19,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.io.atomic_write import json_text
 from modsim3d.learn.voyage.attitude import NEAR_S, Attitude, Sampler
-from modsim3d.learn.voyage.camera_registration import NOTHING_KNOWN, KnownMeans, Registering, with_moved_vessels
+from modsim3d.learn.voyage.camera_registration import NOTHING_KNOWN, KnownMeans, RegistrationOptions, with_moved_vessels
 from modsim3d.learn.voyage.clock import REGISTRATION, noted_cameras, read_reports, within_scene
 from modsim3d.learn.voyage.exclusions import STALE_S, Regions, ReportAge, exclusions
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction, SceneLog
@@ -78,7 +78,7 @@ Registrar = Callable[[Scene, CameraLog], Correction]  # finds the correction of 
 class VoyageOptions:
     """Options of a voyage's truth. Registration is what is added to camera and clock, or finds it; or each camera's."""
 
-    registration: Correction | Registrar | Registering = NO_CORRECTION
+    registration: Correction | Registrar | RegistrationOptions = NO_CORRECTION
     stale_s: float = STALE_S  # least time without a report of a vessel under way that is left out
     attitude: Attitude | None = None  # of own ship as it was measured; its frames without one are left out
     condition: str = CONDITION
@@ -88,7 +88,7 @@ NO_OPTIONS = VoyageOptions()
 
 
 @dataclass(frozen=True, eq=False)
-class Registered:
+class CameraFit:
     """The registration of one camera in one log."""
 
     source: str  # what messages call the log
@@ -104,7 +104,7 @@ class LabelledVoyage:
     labelled: LabelledSet
     scene: Scene
     views: tuple[View, ...]  # what each camera looked at; images are those of the set
-    registered: tuple[Registered, ...]  # the cameras that were
+    registered: tuple[CameraFit, ...]  # the cameras that were
 
 
 def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
@@ -150,7 +150,7 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
 
 
 def _known(options: VoyageOptions) -> KnownMeans:
-    return options.registration.known if isinstance(options.registration, Registering) else NOTHING_KNOWN
+    return options.registration.known if isinstance(options.registration, RegistrationOptions) else NOTHING_KNOWN
 
 
 class _CameraSet:
@@ -187,7 +187,7 @@ class _CameraSet:
         given = self.options.registration
         if isinstance(given, Correction):
             return given
-        if not isinstance(given, Registering):
+        if not isinstance(given, RegistrationOptions):
             return given(self.scene, of_camera)
         self.registration = given.of(self.scene, of_camera, self.log.source)
         return NO_CORRECTION if self.registration is None else self.registration.correction
@@ -195,7 +195,7 @@ class _CameraSet:
     def _offsets(self) -> Array:
         """Offsets of vessels from their reports, see `with_moved_vessels`; 0 where positions are surely known."""
         given = self.options.registration
-        if self.registration is None or not isinstance(given, Registering) or not given.position_m:
+        if self.registration is None or not isinstance(given, RegistrationOptions) or not given.position_m:
             return np.zeros((len(self.scene.vessels), 3))
         return self.registration.values.vessels
 
@@ -205,7 +205,7 @@ class _CameraSet:
         registered = []
         if self.registration is not None:
             known = _known(self.options)
-            registered = [Registered(self.log.source, self.registration, self.frames.clock_s, known)]
+            registered = [CameraFit(self.log.source, self.registration, self.frames.clock_s, known)]
         return LabelledVoyage(self._labelled(), self.scene, (view,), tuple(registered))
 
     def _labelled(self) -> LabelledSet:
@@ -285,7 +285,7 @@ _HEAD = (
 )
 
 
-def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) -> dict[Path, bytes | str]:
+def scene_files(scene: Scene, registered: Sequence[CameraFit], folder: Path) -> dict[Path, bytes | str]:
     """The files of a copy of a scene, for a folder, whose cameras have the registered values: `scene.yaml`, so that the
     folder stands for it, and what `modsim3d ais` wrote beside it. Raises ModsimError if a camera is there twice."""
     names = [each.registration.camera for each in registered]
@@ -332,7 +332,7 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
     return changed
 
 
-def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
+def _content(scene: Scene, registered: Sequence[CameraFit]) -> dict[str, Any]:
     """Registered values: the clock to add to the log's times, else the noted one; the scene has the others already."""
     cameras = dict(noted_cameras(scene.path))
     for each in registered:

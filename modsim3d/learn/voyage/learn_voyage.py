@@ -21,7 +21,7 @@ from modsim3d.learn.report_page import Sources
 from modsim3d.learn.voyage import camera_registration
 from modsim3d.learn.voyage import labelled_voyage as truth
 from modsim3d.learn.voyage.attitude import read_attitude
-from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_fixed, parse_known
+from modsim3d.learn.voyage.camera_registration import KnownMeans, RegistrationOptions, parse_fixed, parse_known
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.deconvolution import report_less_truth_noise
 from modsim3d.learn.voyage.exclusions import stale_limit_s
@@ -46,7 +46,7 @@ class VoyageResult(LearnResult):
     told: VoyageReport = field(kw_only=True)
 
     @property
-    def registered(self) -> tuple[truth.Registered, ...]:
+    def registered(self) -> tuple[truth.CameraFit, ...]:
         """The registration of each camera."""
         return self.told.voyage.registered
 
@@ -81,7 +81,7 @@ class VoyageRequest:
     scene: Scene
     logs: tuple[Path, ...]
     cameras: tuple[str | None, ...] = (None,)  # of each log, or one for all; None if the log says it or there is one
-    registration: Correction | Registrar | Registering | None = None
+    registration: Correction | Registrar | RegistrationOptions | None = None
     fixed: str | Sequence[str] = ()
     known: str | Mapping[str, float] | KnownMeans | None = None
     empty: str | None = None
@@ -128,7 +128,7 @@ class VoyageRequest:
         if registration is None:
             least = MIN_CONFIDENCE if self.request.confidence is None else self.request.confidence
             known, fixed = parse_known(self.known), parse_fixed(self.fixed)
-            registration = Registering(fixed, self.position_m, least, attitude, known)
+            registration = RegistrationOptions(fixed, self.position_m, least, attitude, known)
         names = self.request.conditions or (truth.CONDITION,) * len(self.logs)
         cameras = self.cameras * (len(self.logs) // len(self.cameras))
         scene_logs, read = [], set()
@@ -159,7 +159,7 @@ def learn_voyage(
     camera: str | Sequence[str | None] | None = None,
     conditions: Sequence[str] = (),
     states: int | Mapping[str, Sequence[str]] | None = None,
-    registration: Correction | Registrar | Registering | None = None,
+    registration: Correction | Registrar | RegistrationOptions | None = None,
     fixed: str | Sequence[str] = (),
     known: str | Mapping[str, float] | KnownMeans | None = None,
     empty: str | None = None,

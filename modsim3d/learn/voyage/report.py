@@ -23,7 +23,7 @@ from modsim3d.learn.voyage import coverage as sea_coverage
 from modsim3d.learn.voyage import deconvolution as truth_noise
 from modsim3d.learn.voyage.coverage import Coverage, FrameStretch
 from modsim3d.learn.voyage.deconvolution import ComponentNoise, TakenOff
-from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registered
+from modsim3d.learn.voyage.labelled_voyage import CameraFit, LabelledVoyage
 from modsim3d.learn.voyage.non_ais import classification
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, StateRates, TimeSpan
 from modsim3d.learn.voyage.non_ais.linking import MIN_RATIO, MIN_S, Behaviour
@@ -146,7 +146,7 @@ _WORDS |= {"clock_s": "clock", "focal_share": "focal length", "k1": "lens distor
 _UNITS = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
 
 
-def registration_table(registered: Registered, scene: Scene) -> Table:
+def registration_table(registered: CameraFit, scene: Scene) -> Table:
     """The parameters of one camera."""
     found = registered.registration
     (camera,) = (each for each in scene.cameras if each.name == found.camera)
@@ -168,7 +168,7 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
     return Table(f"Registration of camera '{found.camera}' in {registered.source}", HEADER, rows)
 
 
-def registration_lead(registered: Registered) -> str:
+def registration_lead(registered: CameraFit) -> str:
     """Basis of a registration, and its residuals before and after."""
     found = registered.registration
     before = f"{found.rms_before_px:.3g} px" if math.isfinite(found.rms_before_px) else "more than the lens shows"
@@ -181,7 +181,7 @@ def registration_lead(registered: Registered) -> str:
     )
 
 
-def delay_of(registered: Registered) -> RegisteredValue:
+def delay_of(registered: CameraFit) -> RegisteredValue:
     """The mean delay of all reports, which is held by a rule."""
     given, nan = registered.known.delay_s, float("nan")
     rule = "the mean delay is taken to be zero" if given is None else f"given as {given:+g} s"
@@ -285,7 +285,7 @@ def voyage_json(told: VoyageReport) -> dict[str, Any]:
     }
 
 
-def _registration_content(registered: Registered) -> dict[str, Any]:
+def _registration_content(registered: CameraFit) -> dict[str, Any]:
     found = registered.registration
     return {
         "camera": found.camera,

@@ -19,7 +19,7 @@ from modsim3d.io.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.overwrite import LONGEST_NAME
 from modsim3d.scene.scene import Scene
-from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.crosscheck.comparison import CheckCounts
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
@@ -42,8 +42,8 @@ def _has_every_count(counts: dict[str, float]) -> dict[str, float]:
 
 
 def _is_a_check(found: dict[str, float]) -> dict[str, float]:
-    """Refuse what `Checked` does not have."""
-    if wrong := sorted(found.keys() ^ {field.name for field in fields(Checked)}):
+    """Refuse what `CheckCounts` does not have."""
+    if wrong := sorted(found.keys() ^ {field.name for field in fields(CheckCounts)}):
         raise ValueError(f"these entries are missing or unknown: {', '.join(wrong)}")
     return found
 
@@ -101,7 +101,7 @@ class RunFile(RunSettings):
     camera_counts: dict[Text, RunCounts] | None = None  # None in format 1
     truncation: dict[Text, Truncation]
     poses_sha256: Sha256 | None = None  # of the poses that a live scene received
-    crosscheck: Crosscheck | None = None  # see `Checked`; None in a run before there was one
+    crosscheck: Crosscheck | None = None  # see `CheckCounts`; None in a run before there was one
     files: dict[Text, FileEntry] | None = None  # by path in the run directory; None in a run before this was kept
 
     @field_validator("files")

@@ -87,7 +87,7 @@ class Extent:
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class GatheredReports:
     """Reports kept of all files."""
 
     positions: Positions  # of ships in the region and span that the user chose
@@ -101,7 +101,7 @@ class Gathered:
         return sum((tally.dropped for tally in self.files), Counter[str]())
 
 
-def gather(paths: Sequence[Path], options: Options) -> Gathered:
+def gather(paths: Sequence[Path], options: Options) -> GatheredReports:
     """Read files of any of the known formats; positions up to the longest gap before and after the scene are kept.
     Raises InputError if a file cannot be read or is of no known format (every such file is named), too much of it
     cannot be read, or latitude and longitude are swapped."""
@@ -119,7 +119,7 @@ def gather(paths: Sequence[Path], options: Options) -> Gathered:
         tallies.append(tally)
         parts += _read_file(tally, layout, options, extent)
     positions, particulars = zip(*parts, strict=True)
-    return Gathered(Positions.join(positions), Particulars.join(particulars), tallies, extent)
+    return GatheredReports(Positions.join(positions), Particulars.join(particulars), tallies, extent)
 
 
 def _layouts(paths: Sequence[Path]) -> list[Layout | None]:

@@ -14,7 +14,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import in_percent
 from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.io.misreadings import ROUNDED, are_rounded
-from modsim3d.scene.ais.gathering import FileTally, Gathered, by_sender, gather
+from modsim3d.scene.ais.gathering import FileTally, GatheredReports, by_sender, gather
 from modsim3d.scene.ais.hulls import AisHull, hulls
 from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, local_metres, median_place
 from modsim3d.scene.ais.options import Options, time_text
@@ -229,7 +229,7 @@ def _camera(vessels: list[VesselTrack]) -> Viewpoint:
     return viewpoint(number[order], places[order], half_lengths)
 
 
-def _nothing_left(gathered: Gathered, options: Options) -> InputError:
+def _nothing_left(gathered: GatheredReports, options: Options) -> InputError:
     """The error that says what was asked for, what the files cover and why positions were dropped."""
     wanted = []
     if options.start_s is not None or options.end_s is not None:

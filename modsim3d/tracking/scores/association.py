@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.errors import ModsimError
-from modsim3d.tracking.scores.scored_run import Scored
+from modsim3d.tracking.scores.scored_run import ScoredRun
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import TrueTracks
 
@@ -25,7 +25,7 @@ def metrics() -> Any:  # a module of a library without types
     return found
 
 
-def sequence(scored: Scored) -> Data:
+def sequence(scored: ScoredRun) -> Data:
     """The vessels and the tracks that are scored, as one sequence."""
     return joined_sequence(scored.truth, scored.tracks, scored.rules.similarity)
 
@@ -121,7 +121,7 @@ class Identity:
     idr: float | None  # share of the vessel-frames that do
 
 
-def by_trackeval(scored: Scored) -> tuple[Hota, Clear, Identity]:
+def by_trackeval(scored: ScoredRun) -> tuple[Hota, Clear, Identity]:
     """HOTA, CLEAR and identity scores."""
     data, least = sequence(scored), scored.rules.similarity.least
     return hota_of(data), clear_of(data, least), identity_of(data, least)

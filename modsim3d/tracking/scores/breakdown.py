@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, ranges
 from modsim3d.core.boxes import areas
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionSpans, Survival, within
-from modsim3d.tracking.scores.scored_run import Scored
+from modsim3d.tracking.scores.scored_run import ScoredRun
 
 NEAR_S = 2.0  # so long before and after an occlusion is a phase of its own
 PHASES = ("before", "during", "after", "elsewhere")  # of an occlusion
@@ -82,7 +82,7 @@ class _Followed:
         return tuple(each for each in bins if each.vessel_frames)
 
 
-def breakdown(scored: Scored) -> Breakdown:
+def breakdown(scored: ScoredRun) -> Breakdown:
     """The scored vessel-frames by visibility, occlusion, state, range, size, edge of the image and label."""
     rows, truth = scored.rows, scored.truth
     followed = _Followed(*association_of_pairs(scored))
@@ -107,7 +107,7 @@ def breakdown(scored: Scored) -> Breakdown:
     return (found[0], *_by_occlusion(scored, followed), *found[1:])
 
 
-def association_of_pairs(scored: Scored) -> tuple[Mask, Array]:
+def association_of_pairs(scored: ScoredRun) -> tuple[Mask, Array]:
     """Mask of the vessels that are followed, and A(c) = TPA / (TPA + FNA + FPA) of those, shapes (n,). Luiten et al.
     (2021), eq. 1: TPA counts the frames in which the same track follows the same vessel, FNA all others of the vessel,
     FPA all others of the track; here of one matching at the rules' threshold."""
@@ -136,7 +136,7 @@ def _places(values: Array, edges: Sequence[int]) -> Indices:
     return index
 
 
-def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
+def _by_occlusion(scored: ScoredRun, followed: _Followed) -> tuple[Group, Group]:
     """The vessel-frames by phase of an occlusion, and those during one by its length."""
     spans = OcclusionSpans.of(scored)
     during, phase = _phases(scored, spans)
@@ -152,7 +152,7 @@ def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
     return Group("phase", phases, followed.bins(PHASES, phase)), Group("occlusion", lengths, tuple(bins))
 
 
-def _phases(scored: Scored, spans: OcclusionSpans) -> tuple[Indices, Indices]:
+def _phases(scored: ScoredRun, spans: OcclusionSpans) -> tuple[Indices, Indices]:
     """The occlusion during which each of n rows is, `NOBODY` for none, and its phase, shapes (n,)."""
     each, count = spans.histories, spans.last - spans.first + 1
     during = np.full(len(each.row), NOBODY)

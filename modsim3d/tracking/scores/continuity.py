@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import ScoredRun, frame_lengths_s, stretches
 
 _HOUR_S = 3600.0
 
@@ -47,7 +47,7 @@ class _Appearances(NamedTuple):
     length_s: Array  # time that the frame stands for
 
 
-def continuity(scored: Scored) -> Continuity:
+def continuity(scored: ScoredRun) -> Continuity:
     """Continuity of the tracks of scored vessels, and false tracks."""
     rows = _appearances(scored)
     waits_s = _times_to_establish_s(rows)
@@ -87,7 +87,7 @@ def _times_to_establish_s(rows: _Appearances) -> Array:
     return waits_s
 
 
-def false_track_lengths_s(scored: Scored) -> Array:
+def false_track_lengths_s(scored: ScoredRun) -> Array:
     """Time for which each track is reported that never follows a vessel, in order of camera and track, shape (f,)."""
     following = scored.following
     identity = following.tracks.identity
@@ -97,7 +97,7 @@ def false_track_lengths_s(scored: Scored) -> Array:
     return _sums(track.reshape(-1), frame_lengths_s(scored.rows, following.tracks.frame[rows]))
 
 
-def _appearances(scored: Scored) -> _Appearances:
+def _appearances(scored: ScoredRun) -> _Appearances:
     truth, rows = scored.following.truth, scored.truth_rows
     rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
     frame = truth.frame[rows]

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.boxes import centres, errors_between
-from modsim3d.tracking.scores.scored_run import Scored, frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import ScoredRun, frame_lengths_s, stretches
 
 _MIN_CONDITION = 1e-12
 
@@ -31,7 +31,7 @@ class Errors:
     singular_covariances: int  # pairs whose covariance is not positive definite
 
 
-def errors(scored: Scored) -> Errors:
+def errors(scored: ScoredRun) -> Errors:
     """Errors over all pairs. Errors of consecutive frames are correlated, so the chi-square interval of NEES does not
     hold over frames: take an interval over runs."""
     vessels, tracks = scored.pairs
@@ -158,7 +158,7 @@ class Ospa:
     ospa: float | None
 
 
-def gospa(scored: Scored) -> Gospa:
+def gospa(scored: ScoredRun) -> Gospa:
     """GOSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0. The formula is that
     of `gospa_frame`. Parts are means of p-th powers: with p = 1 they add up to GOSPA."""
     rule = scored.rules.set_distance
@@ -166,13 +166,13 @@ def gospa(scored: Scored) -> Gospa:
     return Gospa(*parts) if parts else Gospa(None, None, None, None)
 
 
-def ospa(scored: Scored) -> Ospa:
+def ospa(scored: ScoredRun) -> Ospa:
     """OSPA of the centres of boxes, mean over all frames, by `ospa_frame`; one without vessels and tracks counts 0."""
     rule = scored.rules.set_distance
     return Ospa(mean_ospa(_frames(scored), rule.cutoff, rule.power))
 
 
-def _frames(scored: Scored) -> Iterator[Array]:
+def _frames(scored: ScoredRun) -> Iterator[Array]:
     """Distances in pixels of the vessels' and the tracks' centres in each frame, shapes (n, m)."""
     vessels, tracks = scored.truth, scored.tracks
     a_px, b_px = centres(vessels.boxes_px), centres(tracks.boxes_px)
@@ -199,7 +199,7 @@ class Siap:
     siap_longest_track_share: float | None
 
 
-def siap(scored: Scored) -> Siap:
+def siap(scored: ScoredRun) -> Siap:
     """Assign each track in each frame to the vessel that it is most similar to, if it is similar enough: not the one
     matching of the other scores. A track that is assigned to a vessel that is not scored is left out. A track that
     loses its vessel and finds it again is no change, but two stretches; in Stone Soup 1.9.1 it is a change and one
@@ -223,7 +223,7 @@ def siap(scored: Scored) -> Siap:
     )
 
 
-def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
+def _assigned(scored: ScoredRun) -> tuple[Indices, Indices, int]:
     """Rows of the scored vessels to which tracks are assigned and of these, shapes (a,); number of tracks to none."""
     truth, tracks, similarity = scored.following.truth, scored.following.tracks, scored.following.similarity
     rows = np.flatnonzero(np.isin(tracks.frame, scored.frames))
@@ -239,7 +239,7 @@ def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
     return vessel[counted], track[counted], len(rows) - len(track)
 
 
-def _places(scored: Scored) -> tuple[Indices, Array]:
+def _places(scored: ScoredRun) -> tuple[Indices, Array]:
     """Place of each vessel's row among the scored ones by identity and frame, shape (n,), and their times, (p,)."""
     truth, rows = scored.following.truth, scored.truth_rows
     rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
-from modsim3d.tracking.scores.scored_run import Histories, Scored, frame_lengths_s, stretches
+from modsim3d.tracking.scores.scored_run import Histories, ScoredRun, frame_lengths_s, stretches
 
 OCCLUDED_BELOW = 0.5  # a vessel is occluded while less than this share of its silhouette in the image is visible
 BEFORE_S = 1.0  # the track before is the last that followed the vessel within this time before its occlusion
@@ -64,7 +64,7 @@ class OcclusionSpans:
     expected: Mask  # whether it is scored within the second before
 
     @classmethod
-    def of(cls, scored: Scored) -> OcclusionSpans:
+    def of(cls, scored: ScoredRun) -> OcclusionSpans:
         """All occlusions that begin in a frame that counts."""
         each = Histories.of(scored)
         known = np.cumsum(~np.isnan(each.visible_fraction))  # a vessel without a pixel has no visible fraction
@@ -116,13 +116,13 @@ def within(times_s: Array, limit_s: float) -> Mask:
     return np.less_equal(np.round(times_s, _TIME_DECIMALS), limit_s)
 
 
-def survival(scored: Scored) -> Survival:
+def survival(scored: ScoredRun) -> Survival:
     """Number of all occlusions, and of those that tracks survive."""
     spans = OcclusionSpans.of(scored)
     return spans.survival(np.ones(len(spans.first), dtype=bool))
 
 
-def occlusions(scored: Scored) -> tuple[OcclusionEpisode, ...]:
+def occlusions(scored: ScoredRun) -> tuple[OcclusionEpisode, ...]:
     """All occlusions in order of time, then of camera and vessel."""
     spans, following, scene = OcclusionSpans.of(scored), scored.following, scored.rows.scene
     truth_row = spans.histories.row[spans.first]
@@ -149,7 +149,7 @@ def occlusions(scored: Scored) -> tuple[OcclusionEpisode, ...]:
     return tuple(found[k] for k in np.lexsort((vessel, frame)).tolist())
 
 
-def _track_numbers(scored: Scored, spans: OcclusionSpans, places: Indices) -> Sequence[int | None]:
+def _track_numbers(scored: ScoredRun, spans: OcclusionSpans, places: Indices) -> Sequence[int | None]:
     """The tracker's numbers of the tracks that follow at places in the histories; None for `NOBODY`."""
     following = scored.following
     numbers = following.tracks.track
@@ -167,7 +167,7 @@ class Hidden:
     hidden_same_track: float | None  # share in which that is the track that last followed it before it was hidden
 
 
-def hidden(scored: Scored) -> Hidden:
+def hidden(scored: ScoredRun) -> Hidden:
     """Recall and identity on rows that are wholly hidden."""
     histories = Histories.of(scored)
     chosen = histories.hidden & histories.counted

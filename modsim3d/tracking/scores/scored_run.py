@@ -10,7 +10,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
-from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, Following, TrueTracks, TruthName, follow
+from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TrackMatching, TrueTracks, TruthName, follow
 
 LARGEST_CUTOFF = 1e6  # more than any distance in an image, and its tenth power is still a number
 
@@ -53,12 +53,12 @@ class Rules:
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
+class ScoredRun:
     """Tracks in the frames of a run, held against its truth."""
 
     rows: RunRows
     rules: Rules
-    following: Following  # which track follows which vessel, of all vessels in the image
+    following: TrackMatching  # which track follows which vessel, of all vessels in the image
     frames: Indices  # numbers of the frames that count, ascending, shape (F,)
 
     @classmethod
@@ -125,7 +125,7 @@ class Histories:
     counted: Mask  # whether the frame is among those that count
 
     @classmethod
-    def of(cls, scored: Scored) -> Self:
+    def of(cls, scored: ScoredRun) -> Self:
         """Histories of a matching."""
         following, truth = scored.following, scored.following.truth
         order = np.lexsort((truth.frame, truth.identity))

@@ -16,14 +16,14 @@ from modsim3d.tracking.scores.breakdown import Breakdown, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity
 from modsim3d.tracking.scores.errors import Errors, Gospa, Ospa, Siap, errors, gospa, ospa, siap
 from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival
-from modsim3d.tracking.scores.scored_run import Rules, Scored
+from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import follow
 
 Value = float | int | None | tuple[float, ...]
 Part = Hota | Clear | Identity | Gospa | Ospa | Siap | Errors | Continuity | Hidden | Survival
 """Scores that belong together; the names of their fields are keys of the JSON."""
-OWN_PARTS: tuple[Callable[[Scored], Part], ...] = (gospa, ospa, siap, errors, continuity, hidden, survival)
+OWN_PARTS: tuple[Callable[[ScoredRun], Part], ...] = (gospa, ospa, siap, errors, continuity, hidden, survival)
 """What is computed here, after the scores by TrackEval, in the order of the keys."""
 
 
@@ -80,10 +80,10 @@ def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
             f"--by class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
             "score without it"
         )
-    return scores_of(Scored.of(rows, tracks, rules))
+    return scores_of(ScoredRun.of(rows, tracks, rules))
 
 
-def scores_of(scored: Scored) -> Scores:
+def scores_of(scored: ScoredRun) -> Scores:
     """Score tracks that are matched already, and whose labels are checked if the rules ask for classes. Raises
     ModsimError if TrackEval is not installed."""
     names = scored.rows.scene.detector.labels if scored.rules.by_class else ()
@@ -92,7 +92,7 @@ def scores_of(scored: Scored) -> Scores:
     return _scores(scored, by_class)
 
 
-def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores:
+def _scores(scored: ScoredRun, by_class: dict[str, Scores] | None = None) -> Scores:
     whole = by_trackeval(scored)
     states, cameras = scored.rows.scene.detector.states, scored.rows.scene.cameras
     camera_frames = (scored.frames[scored.frames % scored.by_step == index] for index in range(len(cameras)))
@@ -111,16 +111,16 @@ def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores
     )
 
 
-def _subset(scored: Scored, frames: Indices, whole: tuple[Hota, Clear, Identity]) -> SubsetScores:
+def _subset(scored: ScoredRun, frames: Indices, whole: tuple[Hota, Clear, Identity]) -> SubsetScores:
     """The scores of some frames; those of all frames are known."""
     chosen = replace(scored, frames=frames)
     hota, clear, identity = whole if len(frames) == len(scored.frames) else by_trackeval(chosen)
     return SubsetScores(len(frames), len(chosen.truth), hota.hota, hota.deta, hota.assa, clear.mota, identity.idf1)
 
 
-def _by_class(scored: Scored) -> Iterator[Scored]:
+def _by_class(scored: ScoredRun) -> Iterator[ScoredRun]:
     truth, tracks, rules = scored.following.truth, scored.following.tracks, scored.rules
     for label in range(len(scored.rows.scene.detector.labels)):
         ours = truth.take(truth.label == label), tracks.take(tracks.label == label)
         alone = follow(*ours, rules.similarity, scored.rows.regions)
-        yield Scored(scored.rows, rules, alone, scored.frames)
+        yield ScoredRun(scored.rows, rules, alone, scored.frames)

@@ -207,7 +207,7 @@ _TOLD_FRAMES = 50  # frames between two calls of `progress`, since drawing a bar
 
 
 @dataclass(frozen=True, eq=False)
-class Tracked:
+class TrackerRun:
     """Tracks of a tracker in the images or in the world, and what it took."""
 
     tracks: Tracks | WorldTracks
@@ -223,21 +223,21 @@ class Tracked:
         return {"median": median, "p99": p99, "max": greatest}
 
 
-def run_tracker(named: NamedTracker, rows: RunRows, progress: Progress = lambda frames: None) -> Tracked:
+def run_tracker(named: NamedTracker, rows: RunRows, progress: Progress = lambda frames: None) -> TrackerRun:
     """Run a tracker over all cameras of a run. `progress` is called with the number of frames, or steps, done since its
     last call. Raises ModsimError if the tracker fails, answers otherwise than it should, or works in the world and the
     run has no places."""
     if isinstance(named.tracker, WorldTracker):
         feed = world_feed(named, rows)
         tracks = world_tracks_of(named.name, list(feed.answers(progress)), feed.times_s, feed.problem)
-        return Tracked(tracks, np.array(feed.seconds))
+        return TrackerRun(tracks, np.array(feed.seconds))
     if isinstance(named.tracker, CommandTracker):
         return _by_command(named, named.tracker, rows, progress)
     cameras = tuple(range(len(rows.scene.cameras)))
     return _in_images(named, sequences_of(rows, cameras), cameras, rows.scene, progress)
 
 
-def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, progress: Progress) -> Tracked:
+def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, progress: Progress) -> TrackerRun:
     scene, cameras = rows.scene, tuple(range(len(rows.scene.cameras)))
     with Coprocess(tracker.program, tracker.command, tracker.folder, tracker.timeout_s) as program:
         exchange = Exchange(program, rows)
@@ -249,12 +249,12 @@ def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, pro
     took = np.array(exchange.seconds), program.peak_memory_mb
     if isinstance(found, list):
         times_s = scene.times_s(0, rows.steps)
-        return Tracked(world_tracks_of(named.name, found, times_s, Feed(named, "", "step", times_s).problem), *took)
+        return TrackerRun(world_tracks_of(named.name, found, times_s, Feed(named, "", "step", times_s).problem), *took)
     sequences, answers = sequences_of(rows, cameras), []
     for each in sequences:
         feed = Feed(named, f"camera '{each.camera.name}'", "frame", each.times_s)
         answers.append(Answers(found[each.camera.name], camera_facts(each, scene), feed.problem).numbered())
-    return Tracked(joined(answers, sequences, cameras, len(cameras)), *took)
+    return TrackerRun(joined(answers, sequences, cameras, len(cameras)), *took)
 
 
 def tracked(
@@ -274,14 +274,14 @@ def tracked(
 
 def _in_images(
     named: NamedTracker, sequences: Sequence[CameraSequence], cameras: Sequence[int], scene: Scene, progress: Progress
-) -> Tracked:
+) -> TrackerRun:
     found, seconds = [], list[float]()
     for sequence in sequences:
         facts = camera_facts(sequence, scene)
         feed = camera_feed(named, facts, sequence.times_s, sequence.detections)
         found.append(Answers(list(feed.answers(progress)), facts, feed.problem).numbered())
         seconds += feed.seconds
-    return Tracked(joined(found, sequences, cameras, len(scene.cameras)), np.array(seconds))
+    return TrackerRun(joined(found, sequences, cameras, len(scene.cameras)), np.array(seconds))
 
 
 def camera_facts(sequence: CameraSequence, scene: Scene) -> CameraFacts:

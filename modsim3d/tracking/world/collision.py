@@ -13,7 +13,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.kinematics import closest_approach
 from modsim3d.io.validation import nearest, shown
-from modsim3d.tracking.world.following import WorldFollowing, WorldTruth
+from modsim3d.tracking.world.following import WorldMatching, WorldTruth
 from modsim3d.world.encounters import encounter
 
 ENCOUNTER_M = 1852.0  # one nautical mile: vessels that do not come nearer have not met own ship
@@ -49,7 +49,7 @@ class MetVessel:
         return self.time_left_s is not None and self.time_left_s > 0
 
 
-def met_vessels(following: WorldFollowing, within_m: float = ENCOUNTER_M) -> tuple[MetVessel, ...]:
+def met_vessels(following: WorldMatching, within_m: float = ENCOUNTER_M) -> tuple[MetVessel, ...]:
     """All encounters of own ships, in the order of own ships and vessels. A vessel that only draws away from own ship,
     since both are there, has not met her."""
     own_ships = following.truth.own_ships
@@ -57,7 +57,7 @@ def met_vessels(following: WorldFollowing, within_m: float = ENCOUNTER_M) -> tup
     return tuple(met for own in own_ships for vessel in vessels for met in _met(following, own, vessel, within_m))
 
 
-def _met(following: WorldFollowing, own: int, vessel: int, within_m: float) -> Iterator[MetVessel]:
+def _met(following: WorldMatching, own: int, vessel: int, within_m: float) -> Iterator[MetVessel]:
     truth = following.truth
     centres_m, times_s = truth.hulls.centres_m, truth.times_s
     closest_m, closest_s = closest_approach(times_s, centres_m[:, own], centres_m[:, vessel])
@@ -84,7 +84,7 @@ def _met(following: WorldFollowing, own: int, vessel: int, within_m: float) -> I
     )
 
 
-def _established_s(following: WorldFollowing, vessel: int) -> float | None:
+def _established_s(following: WorldMatching, vessel: int) -> float | None:
     """Time at which a track is first on the vessel: that of its estimate, which may be later than the step."""
     steps = np.flatnonzero(following.found[:, vessel])
     if not len(steps):
@@ -200,7 +200,7 @@ class _Predictions:
 
 
 def predicted_approaches(
-    following: WorldFollowing, encounters: Sequence[MetVessel], rules: CpaRules
+    following: WorldMatching, encounters: Sequence[MetVessel], rules: CpaRules
 ) -> PredictedApproaches:
     """Closest approaches as tracks predict them, of the vessels that passed and that a camera saw before."""
     met = [each for each in encounters if each.expected]
@@ -217,7 +217,7 @@ def predicted_approaches(
     )
 
 
-def _predictions(following: WorldFollowing, met: Sequence[MetVessel]) -> _Predictions:
+def _predictions(following: WorldMatching, met: Sequence[MetVessel]) -> _Predictions:
     truth, tracks, names = following.truth, following.tracks, following.truth.names
     parts = [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),) * 2 + (np.zeros((0, 3)),)]
     for index, each in enumerate(met):
@@ -236,14 +236,14 @@ def _predictions(following: WorldFollowing, met: Sequence[MetVessel]) -> _Predic
     return _Predictions(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _true(following: WorldFollowing, times_s: Array, vessel: int) -> tuple[Array, Array]:
+def _true(following: WorldMatching, times_s: Array, vessel: int) -> tuple[Array, Array]:
     """True places and velocities of a vessel at n times, shape (n, 2) each."""
     every = np.full(len(times_s), vessel)
     return following.truth.positions_at(times_s, every), following.truth.velocities_at(times_s, every)
 
 
 def _at_time(
-    following: WorldFollowing, met: Sequence[MetVessel], found: _Predictions, left_s: float, rules: CpaRules
+    following: WorldMatching, met: Sequence[MetVessel], found: _Predictions, left_s: float, rules: CpaRules
 ) -> CpaAtTime:
     numbers = np.array([(each.closest_m, each.seen_s, each.closest_s - left_s) for each in met], dtype=np.float64)
     closest_m, seen_s, wanted_s = numbers.reshape(-1, 3).T
@@ -258,7 +258,7 @@ def _at_time(
     return CpaAtTime(*found.errors_of(left_s, here), *(int(each.sum()) for each in counts))  # type: ignore[arg-type]
 
 
-def _ghost_alarms(following: WorldFollowing, rules: CpaRules) -> int:
+def _ghost_alarms(following: WorldMatching, rules: CpaRules) -> int:
     """Number of tracks that never follow a vessel and predict an alarm for some own ship."""
     tracks, row = following.tracks, following.estimates.row
     row = row[~np.isin(tracks.track[row], tracks.track[row[following.vessel != NOBODY]])]

@@ -104,7 +104,7 @@ _LEAST = 0.5  # similarity at the gate, 1 for two equal places: then two pairs a
 
 
 @dataclass(frozen=True, eq=False)
-class WorldFollowing:
+class WorldMatching:
     """The one matching of tracks and V vessels at S steps that all scores are taken from. At each step as many pairs of
     the step before as possible stay, and then the sum of 1 − distance / (2 gate) is largest. Vessels that are not
     scored take part: a track that follows one is not counted."""
@@ -136,7 +136,7 @@ class WorldFollowing:
             yield vessels, self.tracks.track[rows], distances_at(self.truth, self.tracks, step, vessels, rows)
 
 
-def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> WorldFollowing:
+def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> WorldMatching:
     """Assign tracks to vessels at each step, no pair farther apart than the gate."""
     estimates = TrackEstimates.of(truth.times_s, tracks)
     followed_by, vessel = np.full(truth.scored.shape, NOBODY), np.full(len(estimates.row), NOBODY)
@@ -151,7 +151,7 @@ def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> Wo
         followed_by[step, present[i]], vessel[first + j] = rows[j], present[i]
         last[:] = NOBODY
         last[present[i]] = tracks.track[rows[j]]
-    return WorldFollowing(truth, tracks, estimates, followed_by, vessel)
+    return WorldMatching(truth, tracks, estimates, followed_by, vessel)
 
 
 def distances_at(truth: WorldTruth, tracks: WorldTracks, step: int, vessels: Indices, rows: Indices) -> Array:

@@ -23,7 +23,7 @@ from modsim3d.tracking.world.collision import (
     met_vessels,
     predicted_approaches,
 )
-from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
+from modsim3d.tracking.world.following import WorldMatching, WorldTruth, follow_in_world
 from modsim3d.tracks.tracks import DEFAULT_GATE_M, WorldTracks
 
 
@@ -75,7 +75,7 @@ class WorldErrors:
     pairs: int  # estimates that are compared, over all vessels and steps
 
 
-def world_errors(following: WorldFollowing) -> WorldErrors:
+def world_errors(following: WorldMatching) -> WorldErrors:
     """The errors of all pairs."""
     truth, tracks = following.truth, following.tracks
     step, vessel = np.nonzero(following.found)
@@ -116,7 +116,7 @@ class WorldContinuity:
     false_track_s: float  # their time, that of the steps at which they are there
 
 
-def world_continuity(following: WorldFollowing) -> WorldContinuity:
+def world_continuity(following: WorldMatching) -> WorldContinuity:
     """Continuity of all vessels, and false tracks."""
     scored, found = following.truth.scored, following.found
     steps, followed = scored.sum(axis=0), found.sum(axis=0)
@@ -137,7 +137,7 @@ def world_continuity(following: WorldFollowing) -> WorldContinuity:
     )
 
 
-def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, int]:
+def _switches_and_breaks(following: WorldMatching, vessel: int) -> tuple[int, int]:
     """Switches and breaks of a vessel that is followed at some step."""
     row = following.followed_by[following.truth.scored[:, vessel], vessel]
     on = row != NOBODY

@@ -108,7 +108,7 @@ NOT_ROUNDED_PX = 1e-6  # sides are whole buffer pixels; this is what dividing by
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckCounts:
     """Counts of a cross-check, and largest differences; results can be added. Names are those in `run.json`."""
 
     from_spans: int = 0  # vessels of the whole run whose pixels came from exact spans
@@ -126,10 +126,10 @@ class Checked:
     largest_tip_px: float = 0.0  # the same of the tips
     largest_area_px: float = 0.0  # largest difference between visible pixels and visible area
 
-    def __add__(self, other: Checked) -> Checked:
+    def __add__(self, other: CheckCounts) -> CheckCounts:
         """Both together: counts are summed, of differences the larger ones are kept."""
         pairs = {each.name: (getattr(self, each.name), getattr(other, each.name)) for each in fields(self)}
-        return Checked(**{name: (max if name.startswith("largest") else sum)(pair) for name, pair in pairs.items()})
+        return CheckCounts(**{name: (max if name.startswith("largest") else sum)(pair) for name, pair in pairs.items()})
 
 
 @dataclass(eq=False)
@@ -163,7 +163,7 @@ def check_frame(
     names: Sequence[str],
     *,
     whole: bool = False,
-) -> Checked:
+) -> CheckCounts:
     """Draw a frame and compare it with what is said of it. `boxed` are the indices of the vessels that get a box if
     they are in the image, `names` those of the scene's occluders; with `whole`, the whole image is drawn, not only the
     rectangle around all vessels. Raises Difference if they differ by more than ties."""
@@ -176,7 +176,7 @@ def check_frame(
             pixels.compare(renderer, seen, tile)
         if whole and seen.any():
             _look_beside(found, seen, tile)
-    one = Checked(frames=1, empty_frames=int(not row_of), whole_frames=int(whole), vessels=len(row_of))
+    one = CheckCounts(frames=1, empty_frames=int(not row_of), whole_frames=int(whole), vessels=len(row_of))
     return sum((pixels.checked() for pixels in found), one)
 
 
@@ -247,13 +247,13 @@ class _VesselPixels:
             where = f"{np.count_nonzero(~ties)} pixels differ, one of them at column {column}, row {row}"
             self.refuse(f"{what} pixels", f"{np.count_nonzero(said)}", f"{np.count_nonzero(drawn)} ({where})")
 
-    def checked(self) -> Checked:
+    def checked(self) -> CheckCounts:
         """Result of the comparison, once all tiles were compared. Raises Difference if numbers or boxes of the truth
         are not those of its pixels, or not those of the corners."""
         if self.row is None:
             if self.px[0]:
                 self.refuse("silhouette pixels", "no row", f"{self.px[0] / self.drawing.supersample**2:g}")
-            return Checked()
+            return CheckCounts()
         truth, ss = self.said.truth, self.drawing.supersample
         silhouette = "silhouette", truth.silhouette_px[self.row], self.full_box
         visible = "visible", truth.visible_px[self.row], self.visible_box
@@ -301,7 +301,7 @@ class _VesselPixels:
         if truth.annotated[row] != kept:
             self.refuse("annotated", str(bool(truth.annotated[row])), f"{kept}, by its pixels,")
 
-    def _checked_by_geometry(self) -> Checked:
+    def _checked_by_geometry(self) -> CheckCounts:
         """Compare the full box with that of the projected corners, and visible pixels with the visible area."""
         beyond = np.concatenate([self.corners[:2] - self.full_box[:2], self.full_box[2:] - self.corners[2:]])
         edge_px = EDGE_PX if self.drawing.intrinsics.distortion is None else LENS_EDGE_PX
@@ -313,7 +313,7 @@ class _VesselPixels:
         off, size = abs(self.said.truth.visible_px[self.row] - area), float(np.abs(beyond).max())
         if off > bound:
             self.refuse("visible pixels", f"{self.said.truth.visible_px[self.row]:g}", f"{area:g} px² by geometry")
-        return Checked(
+        return CheckCounts(
             pixels=self.px[0],
             tie_pixels=self.ties,
             geometry_vessels=int(not np.isnan(off)),

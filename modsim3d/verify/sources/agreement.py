@@ -26,7 +26,7 @@ from modsim3d.truth.analytic import (
     mask_fits,
     visible_regions,
 )
-from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.truth.crosscheck.comparison import CheckCounts
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.record import SOURCES
@@ -259,7 +259,7 @@ class Findings:
     """Findings in some frames."""
 
     frames: int
-    drawn: Checked  # what OpenGL drew, and the rendered source was compared with
+    drawn: CheckCounts  # what OpenGL drew, and the rendered source was compared with
     differing: int  # vessel-frames of which the rendered source has other pixels, ties apart
     missing: int  # vessels in frames that were drawn, but that the rendered source does not have
     differences: Comparison  # rendered against analytic truth, a row for each vessel in a frame
@@ -275,7 +275,7 @@ class Findings:
         shown = [difference for part in parts for difference in part.worst]
         return cls(
             sum(part.frames for part in parts),
-            sum((part.drawn for part in parts), Checked()),
+            sum((part.drawn for part in parts), CheckCounts()),
             sum(part.differing for part in parts),
             sum(part.missing for part in parts),
             concatenate_comparisons([part.differences for part in parts]),
@@ -370,7 +370,7 @@ class ComparisonFigures:
     steps: int
     frames: int
     vessel_frames: int  # vessels in these frames
-    drawn: Checked  # as in `run.json`; see `Findings`
+    drawn: CheckCounts  # as in `run.json`; see `Findings`
     differs_from_drawn: int  # see `Findings.differing`
     missing: int  # see `Findings`
     occluded: int  # vessel-frames with a hidden pixel

@@ -15,7 +15,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import PixelMasks, analytic_occlusion, rectangle_occlusion
-from modsim3d.truth.crosscheck.comparison import Checked, Difference, SaidOfFrame, check_frame, mask_of
+from modsim3d.truth.crosscheck.comparison import CheckCounts, Difference, SaidOfFrame, check_frame, mask_of
 from modsim3d.truth.crosscheck.drawing import Drawing
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion import Occlusion
@@ -45,12 +45,12 @@ class FastPath:
 
     def compare(
         self, drawings: Sequence[Drawing], boxed: Mask, names: Sequence[str], renderer: IdRenderer
-    ) -> tuple[Checked, dict[int, str], int]:
+    ) -> tuple[CheckCounts, dict[int, str], int]:
         """Draw the F frames, and compare: how much was drawn; row → how it differs; and the number of vessels that were
         drawn and have no row. `drawings` has one of each frame; `boxed` says which of the scene's V vessels get a box
         if they are in the image, shape (F, V); `names` are those of the scene's occluders."""
         truth = self.occlusion.truth(self.outlines, np.arange(len(drawings)), camera=0)
-        checked = Checked(from_spans=int((~truth.drawn).sum()), from_buffers=int(truth.drawn.sum()))
+        checked = CheckCounts(from_spans=int((~truth.drawn).sum()), from_buffers=int(truth.drawn.sum()))
         words: dict[int, str] = {}  # row → how it differs
         missing = 0
         for frame, drawing in enumerate(drawings):

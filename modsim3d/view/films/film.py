@@ -23,14 +23,14 @@ IF_KILLED = "draw the film again, perhaps with fewer --workers"
 
 
 @dataclass(frozen=True, eq=False)
-class Showing:
+class ShownSteps:
     """Steps that a film shows, ascending, and when."""
 
     steps: tuple[int, ...]
     timetable: Timetable
 
     @classmethod
-    def of(cls, selection: Selection, kind: str, speed: float) -> Showing:
+    def of(cls, selection: Selection, kind: str, speed: float) -> ShownSteps:
         """The steps of a selection in a film of one of `FORMATS`; at a high speed some are left out."""
         timetable = Timetable.of(selection.durations_s, speed, MAX_RATE[kind])
         shown = [step for step, repeats in zip(selection.steps, timetable.repeats, strict=True) if repeats]
@@ -70,7 +70,7 @@ def draw_film(
     second of the film. `workers` processes draw, with `auto` one for each CPU; their number does not change the film.
     `progress` is called with the number of frames drawn since its last call."""
     scene = selection.run.scene
-    showing = Showing.of(selection, kind, speed)
+    showing = ShownSteps.of(selection, kind, speed)
     repeats = dict(zip(selection.steps, showing.timetable.repeats.tolist(), strict=True))
     with open_workers(workers, IF_KILLED, open_film_renderer, scene, plan) as renderers:
         colours = _gif_palette(selection, showing.steps, renderers) if kind == "gif" else None

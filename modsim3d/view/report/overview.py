@@ -12,7 +12,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Indices, Mask, positions
 from modsim3d.runs.counts import Outcome, having
 from modsim3d.scene.scene import Scene
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, Stretches, StretchesBuilder, onsets
+from modsim3d.view.report.packing import NONE, ROW_BEFORE, Codes, Column, Stretches, StretchesBuilder, onsets
 from modsim3d.world.vessel_motion import PosesInWaves
 
 UNKNOWN_FRACTION, WHOLE = 255, 250  # visible fractions are counted in 250ths
@@ -144,20 +144,20 @@ class Overview:
         seen = self._rows[0] <= self._rows[1]
         return {"width": self.width, "rows": [row * quantum_px for row in self._rows] if seen else None}
 
-    def columns(self, prefix: str, *, half: bool) -> dict[str, Column | Coded]:
+    def columns(self, prefix: str, *, half: bool) -> dict[str, Column | Codes]:
         """The counts and the moments by their kinds; with `half`, also where vessels are less than half seen."""
         state = np.where(self._states.any(axis=1), self._states.argmax(axis=1), NONE).astype(np.uint16)
-        columns: dict[str, Column | Coded] = {f"{prefix}state": Coded(state, by=ROW_BEFORE)}
+        columns: dict[str, Column | Codes] = {f"{prefix}state": Codes(state, by=ROW_BEFORE)}
         for name, counts in self._counts.items():
-            columns[f"{prefix}{name}"] = Coded(counts.astype(np.uint32), by=ROW_BEFORE)
+            columns[f"{prefix}{name}"] = Codes(counts.astype(np.uint32), by=ROW_BEFORE)
         for name, counts in self._of_vessels.items():
-            columns[f"{prefix}vessels.{name}"] = Coded(counts.astype(np.uint32), by=ROW_BEFORE)
+            columns[f"{prefix}vessels.{name}"] = Codes(counts.astype(np.uint32), by=ROW_BEFORE)
         for name in ("state", *([HALF] if half else []), *MOMENT_KINDS):
             found = self.stretches(name).by_time()
             key = found.key if name == "state" else np.where(found.key < self._vessels, found.key, NONE)
-            columns[f"{prefix}moments.{name}.index"] = Coded(found.first.astype(np.uint32), by=ROW_BEFORE)
-            columns[f"{prefix}moments.{name}.long"] = Coded((found.until - found.first).astype(np.uint32))
-            columns[f"{prefix}moments.{name}.key"] = Coded(key.astype(np.uint16), by=ROW_BEFORE)
+            columns[f"{prefix}moments.{name}.index"] = Codes(found.first.astype(np.uint32), by=ROW_BEFORE)
+            columns[f"{prefix}moments.{name}.long"] = Codes((found.until - found.first).astype(np.uint32))
+            columns[f"{prefix}moments.{name}.key"] = Codes(key.astype(np.uint16), by=ROW_BEFORE)
         return columns
 
 

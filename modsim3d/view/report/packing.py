@@ -27,7 +27,7 @@ Column = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Coded:
+class Codes:
     """A column, shape (n,) or (n, k), stored as differences `by` the row before (`ROW_BEFORE`), the row before with the
     same value in the column of this name, or the corner of the outline before (`OUTLINE_BEFORE`)."""
 
@@ -36,19 +36,19 @@ class Coded:
     base: str | None = None  # name of the column from whose same row each row is the difference
 
 
-Columns = Mapping[str, Column | Coded]  # by name; one comes after those that it is a difference from
+Columns = Mapping[str, Column | Codes]  # by name; one comes after those that it is a difference from
 
 
 def packed(columns: Columns) -> bytes:
     """All columns after an index of them, compressed; the same for the same numbers."""
     index, parts, offset = [], [], 0
     for name, column in columns.items():
-        coded = column if isinstance(column, Coded) else Coded(column)
+        coded = column if isinstance(column, Codes) else Codes(column)
         values = coded.values
         entry: dict[str, Any] = {"name": name, "type": values.dtype.name, "length": int(values.size), "offset": offset}
-        if isinstance(column, Coded):
+        if isinstance(column, Codes):
             entry |= {"width": width_of(values), "by": coded.by, "base": coded.base}
-        data = _planes(_differences(coded, columns)) if isinstance(column, Coded) else _bytes(values)
+        data = _planes(_differences(coded, columns)) if isinstance(column, Codes) else _bytes(values)
         index.append(entry)
         parts += [data, bytes(-len(data) % ALIGNED_BYTES)]
         offset += len(data) + len(parts[-1])
@@ -74,7 +74,7 @@ def _planes(zigzag: Column) -> bytes:
     return np.ascontiguousarray(np.frombuffer(_bytes(zigzag), np.uint8).reshape(-1, size).T).tobytes()
 
 
-def _differences(coded: Coded, columns: Columns) -> Column:
+def _differences(coded: Codes, columns: Columns) -> Column:
     """The differences as zigzag numbers, of the column's size and item size."""
     bits = 8 * coded.values.dtype.itemsize
     whole = _whole(coded.values).astype(np.int64)
@@ -99,11 +99,11 @@ def width_of(values: Column) -> int:
     return int(values.shape[1]) if values.ndim > 1 else 1
 
 
-def _values(column: Column | Coded) -> Column:
-    return column.values if isinstance(column, Coded) else column
+def _values(column: Column | Codes) -> Column:
+    return column.values if isinstance(column, Codes) else column
 
 
-def rows_before(coded: Coded, columns: Columns) -> Indices:
+def rows_before(coded: Codes, columns: Columns) -> Indices:
     """The row that each row is a difference from, −1 for none, shape (n,)."""
     if coded.by is None:
         return np.full(len(coded.values), -1)

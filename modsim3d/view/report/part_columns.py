@@ -14,7 +14,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view.report.overview import ANNOTATED, DETECTED, UNKNOWN_FRACTION, WHOLE
-from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, in_quanta, starts
+from modsim3d.view.report.packing import NONE, ROW_BEFORE, Codes, Column, in_quanta, starts
 
 # ---- The tables of a run in parts of its shown steps ----
 
@@ -72,7 +72,7 @@ def _still_shown(rows: RunRows, step: int) -> dict[str, pa.Table]:
 WHOLE_SILHOUETTE = NONE - 1  # fractions of a silhouette in the image are counted in 65,534ths; `NONE` is a null
 
 
-def number_columns(rows: RunRows, shown: Indices, main_hider: Indices) -> dict[str, Column | Coded]:
+def number_columns(rows: RunRows, shown: Indices, main_hider: Indices) -> dict[str, Column | Codes]:
     """Columns of the rows `shown` of the truth, shape (k,), by the occluder that hides most of each row, shape (n,).
     They are `silhouettePx`, `hiddenPx` and `inFrame`, shape (k,); `otherName` and `otherPx`: the occluders of each row
     other than the main one, most pixels first; `otherStart`: where those of each row begin, shape (k + 1,). What can be
@@ -92,7 +92,7 @@ def number_columns(rows: RunRows, shown: Indices, main_hider: Indices) -> dict[s
         "silhouettePx": silhouette_px.astype(np.float32),
         "hiddenPx": (silhouette_px - rows.numbers("visible_px")[shown]).astype(np.float32),
         "inFrame": np.where(np.isnan(fraction), NONE, counted).astype(np.uint16),
-        "otherStart": Coded(starts(of[order], len(shown)), by=ROW_BEFORE),
+        "otherStart": Codes(starts(of[order], len(shown)), by=ROW_BEFORE),
         "otherName": occluders.name[order].astype(np.uint16),
         "otherPx": occluders.px[order].astype(np.float32),
     }
@@ -134,19 +134,19 @@ class PartFrames:
         return frame
 
 
-def frame_columns(part: PartRows, frames: PartFrames) -> dict[str, Column | Coded]:
+def frame_columns(part: PartRows, frames: PartFrames) -> dict[str, Column | Codes]:
     """Frame that each camera shows at each step, when it was taken, and the performance state in it."""
     state = part.rows.states_of(frames.numbers).astype(np.uint8)
     empty = frames.pages - frames.count
     held = np.any(part.taken != part.steps[:, None])
     return {
-        "frame": Coded(frames.shown.astype(np.uint32), by=ROW_BEFORE),
-        **({"taken": Coded(part.taken.astype(np.int32), by=ROW_BEFORE)} if held else {}),
+        "frame": Codes(frames.shown.astype(np.uint32), by=ROW_BEFORE),
+        **({"taken": Codes(part.taken.astype(np.int32), by=ROW_BEFORE)} if held else {}),
         "state": np.append(state, np.full(empty, NO_STATE, dtype=np.uint8)),
     }
 
 
-def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Coded]:
+def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Codes]:
     """The truth of frames, the farthest vessel of each frame first."""
     frame, depth_m = frames.of(rows.truth_frame), rows.numbers("depth_m")
     order = np.lexsort((-depth_m, frame))
@@ -155,14 +155,14 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
     least_first = np.argsort(occluders.px, kind="stable")
     hiders[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last, the main one, stays
     return {
-        "truthStart": Coded(starts(frame[shown], frames.pages), by=ROW_BEFORE),
-        "vessel": Coded(rows.truth_vessel[shown].astype(np.uint16), by=ROW_BEFORE),
+        "truthStart": Codes(starts(frame[shown], frames.pages), by=ROW_BEFORE),
+        "vessel": Codes(rows.truth_vessel[shown].astype(np.uint16), by=ROW_BEFORE),
         "flags": (ANNOTATED * rows.annotated[shown] + DETECTED * rows.detected[shown]).astype(np.uint8),
-        "fraction": Coded(in_250ths(rows.numbers("visible_fraction")[shown]), by="vessel"),
-        "depth": Coded(_depths(depth_m[shown]), by="vessel"),
-        "hider": Coded(hiders[shown].astype(np.uint16), by="vessel"),
-        "full": Coded(in_quanta(rows.boxes_px("full")[shown], quantum), by="vessel"),
-        "visible": Coded(in_quanta(rows.boxes_px("visible")[shown], quantum), base="full"),
+        "fraction": Codes(in_250ths(rows.numbers("visible_fraction")[shown]), by="vessel"),
+        "depth": Codes(_depths(depth_m[shown]), by="vessel"),
+        "hider": Codes(hiders[shown].astype(np.uint16), by="vessel"),
+        "full": Codes(in_quanta(rows.boxes_px("full")[shown], quantum), by="vessel"),
+        "visible": Codes(in_quanta(rows.boxes_px("visible")[shown], quantum), base="full"),
         **number_columns(rows, shown, hiders),
     }
 
@@ -173,20 +173,20 @@ def _depths(depth_m: Array) -> Column:
     return np.where(known, np.rint(PER_METRE * np.where(known, depth_m, 0.0)), NO_DEPTH).astype(np.uint32)
 
 
-def detection_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Coded]:
+def detection_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Codes]:
     """The detections of frames, in the order of the run."""
     frame = frames.of(rows.detection_frame)
     order = np.argsort(frame, kind="stable")
     drawn = order[frame[order] != NOBODY]
     vessel = np.where(rows.detection_vessel < 0, NONE, rows.detection_vessel)[drawn].astype(np.uint16)
     return {
-        "drawnStart": Coded(starts(frame[drawn], frames.pages), by=ROW_BEFORE),
+        "drawnStart": Codes(starts(frame[drawn], frames.pages), by=ROW_BEFORE),
         "drawnVessel": vessel,
         "label": indices(rows.detections, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
-        "confidence": Coded(np.rint(1000 * number_column(rows.detections, "confidence")[drawn]).astype(np.uint16)),
+        "confidence": Codes(np.rint(1000 * number_column(rows.detections, "confidence")[drawn]).astype(np.uint16)),
         "outcome": rows.outcomes[drawn],
         "kind": indices(rows.detections, "kind", KINDS)[drawn].astype(np.uint8),
-        "box": Coded(in_quanta(rows.detection_boxes_px()[drawn], quantum), by="drawnVessel"),
+        "box": Codes(in_quanta(rows.detection_boxes_px()[drawn], quantum), by="drawnVessel"),
     }
 
 

@@ -45,7 +45,7 @@ class TrackRows:
             flags = flags + bit * _at_next(np.flatnonzero(marked), tracks.identity, self._drawn)
         self._flags = flags
 
-    def columns(self, frames: part_columns.PartFrames, quantum: float) -> dict[str, packing.Column | packing.Coded]:
+    def columns(self, frames: part_columns.PartFrames, quantum: float) -> dict[str, packing.Column | packing.Codes]:
         """The rows in the frames of a part. A lane is one track of one camera."""
         followed, tracks = self._followed, self._followed.tracks
         first, last = (int(reach(frames.numbers)) for reach in (np.min, np.max)) if frames.count else (0, -1)
@@ -56,11 +56,11 @@ class TrackRows:
         rows = some[order]
         vessel = np.where(followed.false, packing.NONE, followed.vessel)[rows]
         return {
-            "trackStart": packing.Coded(packing.starts(frame[order], frames.pages), by=packing.ROW_BEFORE),
-            "trackLane": packing.Coded(tracks.identity[rows].astype(np.uint32), by=packing.ROW_BEFORE),
-            "trackVessel": packing.Coded(vessel.astype(np.uint16), by="trackLane"),
+            "trackStart": packing.Codes(packing.starts(frame[order], frames.pages), by=packing.ROW_BEFORE),
+            "trackLane": packing.Codes(tracks.identity[rows].astype(np.uint32), by=packing.ROW_BEFORE),
+            "trackVessel": packing.Codes(vessel.astype(np.uint16), by="trackLane"),
             "trackFlags": self._flags[rows].astype(np.uint8),
-            "trackBox": packing.Coded(packing.in_quanta(tracks.boxes_px[rows], quantum), by="trackLane"),
+            "trackBox": packing.Codes(packing.in_quanta(tracks.boxes_px[rows], quantum), by="trackLane"),
         }
 
 
@@ -86,7 +86,7 @@ class Lanes:
         self._marks.append(np.column_stack([lane[marked], index[at[marked]], flags[marked]]))
         self._taken = int(taken[-1])
 
-    def columns(self, prefix: str) -> dict[str, packing.Column | packing.Coded]:
+    def columns(self, prefix: str) -> dict[str, packing.Column | packing.Codes]:
         """The stretches of the lanes in order of time, and their marks."""
         found = self._found.stretches().by_time()
         lane_and_vessel, pale = np.divmod(found.key, 2)
@@ -94,13 +94,13 @@ class Lanes:
         vessel = np.where(vessel == self._vessels, packing.NONE, vessel)
         marks = np.concatenate(self._marks)
         return {
-            f"{prefix}lane": packing.Coded(lane.astype(np.uint32), by=packing.ROW_BEFORE),
-            f"{prefix}index": packing.Coded(found.first.astype(np.uint32), by=packing.ROW_BEFORE),
-            f"{prefix}long": packing.Coded((found.until - found.first).astype(np.uint32)),
-            f"{prefix}vessel": packing.Coded(vessel.astype(np.uint16), by=f"{prefix}lane"),
+            f"{prefix}lane": packing.Codes(lane.astype(np.uint32), by=packing.ROW_BEFORE),
+            f"{prefix}index": packing.Codes(found.first.astype(np.uint32), by=packing.ROW_BEFORE),
+            f"{prefix}long": packing.Codes((found.until - found.first).astype(np.uint32)),
+            f"{prefix}vessel": packing.Codes(vessel.astype(np.uint16), by=f"{prefix}lane"),
             f"{prefix}pale": pale.astype(np.uint8),
             f"{prefix}markLane": marks[:, 0].astype(np.uint32),
-            f"{prefix}markIndex": packing.Coded(marks[:, 1].astype(np.uint32), by=packing.ROW_BEFORE),
+            f"{prefix}markIndex": packing.Codes(marks[:, 1].astype(np.uint32), by=packing.ROW_BEFORE),
             f"{prefix}markFlags": marks[:, 2].astype(np.uint8),
         }
 
@@ -145,7 +145,7 @@ class Places:
         if scene.labels is not None:
             self._reach.append(np.zeros((1, 2)))  # nobody has a place
 
-    def columns(self, steps: Indices, motion: PartMotion) -> dict[str, packing.Column | packing.Coded]:
+    def columns(self, steps: Indices, motion: PartMotion) -> dict[str, packing.Column | packing.Codes]:
         """The places at ascending steps, shape (S,): a row a step, with a column for each vessel or camera."""
         scene, poses = self._scene, motion.at(steps).poses
         there, place_m = poses.present, poses.positions_m[..., :2]
@@ -158,11 +158,11 @@ class Places:
         places = _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1)
         return {
             "placed": there.astype(np.uint8),
-            "place": packing.Coded(places, by=packing.ROW_BEFORE),
-            "heading": packing.Coded(_turns(np.where(there, poses.headings_rad, 0.0)), by=packing.ROW_BEFORE),
+            "place": packing.Codes(places, by=packing.ROW_BEFORE),
+            "heading": packing.Codes(_turns(np.where(there, poses.headings_rad, 0.0)), by=packing.ROW_BEFORE),
             "cameraPlaced": camera_there.astype(np.uint8),
-            "cameraPlace": packing.Coded(_centimetres(camera_m).reshape(len(steps), -1), by=packing.ROW_BEFORE),
-            "cameraLooks": packing.Coded(_turns(looks).reshape(len(steps), -1), by=packing.ROW_BEFORE),
+            "cameraPlace": packing.Codes(_centimetres(camera_m).reshape(len(steps), -1), by=packing.ROW_BEFORE),
+            "cameraLooks": packing.Codes(_turns(looks).reshape(len(steps), -1), by=packing.ROW_BEFORE),
         }
 
     def facts(self) -> dict[str, Any]:
@@ -223,7 +223,7 @@ def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], packing.Columns]:
         exact = max(map(abs, units)) < 10**MAX_DIGITS and np.abs(differences).max(initial=0) < LONGEST_DIFFERENCE
         if exact and all(said(unit, decimals) == text for unit, text in zip(units, timestamps, strict=True)):
             facts = {"decimals": decimals, "first": units[0]}
-            return facts, {"clock": packing.Coded(differences.astype(np.int32), by=packing.ROW_BEFORE)}
+            return facts, {"clock": packing.Codes(differences.astype(np.int32), by=packing.ROW_BEFORE)}
     return {}, {"clockTexts": np.frombuffer("\n".join(timestamps).encode("utf-8"), np.uint8)}
 
 
@@ -293,7 +293,7 @@ class _Recorder:
             self._lanes = [Lanes(len(run.scene.vessels)) for _ in run.scene.cameras]
             self._tracks = TrackRows(followed, run.scene, self._steps)
 
-    def columns(self, part: part_columns.PartRows) -> dict[str, packing.Column | packing.Coded]:
+    def columns(self, part: part_columns.PartRows) -> dict[str, packing.Column | packing.Codes]:
         """The columns of a part, which is added to the overviews."""
         frames = part_columns.PartFrames(part)
         horizons = np.empty((frames.pages, 3))
@@ -302,8 +302,8 @@ class _Recorder:
         shape_frame, silhouettes = self._silhouettes.columns(part.rows, frames.steps, motion, horizons)
         columns = {
             **part_columns.frame_columns(part, frames),
-            "horizon": packing.Coded(horizons.astype(np.float32), by=packing.ROW_BEFORE),
-            "shapeStart": packing.Coded(packing.starts(shape_frame, frames.pages), by=packing.ROW_BEFORE),
+            "horizon": packing.Codes(horizons.astype(np.float32), by=packing.ROW_BEFORE),
+            "shapeStart": packing.Codes(packing.starts(shape_frame, frames.pages), by=packing.ROW_BEFORE),
             **silhouettes,
             **part_columns.truth_columns(part.rows, frames, self._quantum),
             **part_columns.detection_columns(part.rows, frames, self._quantum),
@@ -312,7 +312,7 @@ class _Recorder:
         if self._tracks is not None:
             columns |= self._tracks.columns(frames, self._quantum)
         index = part.steps // self._every
-        plain = {name: each.values if isinstance(each, packing.Coded) else each for name, each in columns.items()}
+        plain = {name: each.values if isinstance(each, packing.Codes) else each for name, each in columns.items()}
         for camera, (overview, outcomes) in enumerate(zip(self._overviews, self._outcomes, strict=True)):
             rows = ShownRows.of(index, frames.shown[:, camera], plain)
             overview.add(rows)
@@ -325,11 +325,11 @@ class _Recorder:
         """Outcomes of the vessels, of each camera, once all parts are there."""
         return tuple(each.stretches() for each in self._outcomes)
 
-    def overview(self) -> tuple[dict[str, Any], dict[str, packing.Column | packing.Coded]]:
+    def overview(self) -> tuple[dict[str, Any], dict[str, packing.Column | packing.Codes]]:
         """The facts, and the columns of what the timeline shows, once all parts are there."""
         scene, steps = self._scene, self._steps
         times, columns = clock(scene.timestamps(0, int(steps[-1]) + 1)[:: self._every])
-        every: dict[str, packing.Column | packing.Coded] = {**columns, **self._silhouettes.still_columns()}
+        every: dict[str, packing.Column | packing.Codes] = {**columns, **self._silhouettes.still_columns()}
         for camera, overview in enumerate(self._overviews):
             every |= overview.columns(f"{camera}.", half=bool(self._lanes))
         for camera, lanes in enumerate(self._lanes):

@@ -19,7 +19,7 @@ from modsim3d.view.pages.tables import table
 from modsim3d.view.report import report
 from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
 from modsim3d.view.report.overview import OutcomeStretches
-from modsim3d.view.report.packing import ROW_BEFORE, Coded, Column, packed
+from modsim3d.view.report.packing import ROW_BEFORE, Codes, Column, packed
 from modsim3d.view.report.recorder import recording
 
 # ---- Two runs of the same truth ----
@@ -91,14 +91,14 @@ def differences(first: Sequence[OutcomeStretches], second: Sequence[OutcomeStret
     return Differences(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def difference_columns(found: Differences) -> dict[str, Column | Coded]:
+def difference_columns(found: Differences) -> dict[str, Column | Codes]:
     """The differences for the player of a page, in order of camera and first step."""
     order = np.lexsort((found.vessel, found.index, found.camera))
     return {
-        "camera": Coded(found.camera[order].astype(np.uint16), by=ROW_BEFORE),
+        "camera": Codes(found.camera[order].astype(np.uint16), by=ROW_BEFORE),
         "vessel": found.vessel[order].astype(np.uint16),
-        "index": Coded(found.index[order].astype(np.uint32), by=ROW_BEFORE),
-        "long": Coded((found.until - found.index)[order].astype(np.uint32)),
+        "index": Codes(found.index[order].astype(np.uint32), by=ROW_BEFORE),
+        "long": Codes((found.until - found.index)[order].astype(np.uint32)),
         "outcomes": found.outcomes[order].astype(np.uint8),
     }
 

@@ -18,7 +18,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.occlusion_order import in_boxes, order_of_pairs, overlapping_pairs
 from modsim3d.truth.outlines import Outlines, new_numbers
 from modsim3d.view.report.overview import PartMotion
-from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Coded, Column
+from modsim3d.view.report.packing import NONE, OUTLINE_BEFORE, ROW_BEFORE, Codes, Column
 from modsim3d.view.report.silhouette_edges import Edges, contours, silhouette_edges, tidy_at_border
 from modsim3d.world.vessel_motion import PosesInWaves
 
@@ -211,7 +211,7 @@ class Silhouettes:
 
     def columns(
         self, rows: RunRows, frames: Sequence[Indices], motion: PartMotion, horizons: Array
-    ) -> tuple[Indices, dict[str, Column | Coded]]:
+    ) -> tuple[Indices, dict[str, Column | Codes]]:
         """The silhouettes of one part: the frame's number of each, ascending, shape (s,), and their columns.
         The columns are `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount`
         of their lines, and `corners` of the lines: column and row, in quanta, shape (k, 2). `rows` has these frames at
@@ -240,12 +240,12 @@ class Silhouettes:
         outline[~stands], new = outline_numbers(moving, camera)
         order = np.argsort(every_shape.frame, kind="stable")
         return every_shape.frame[order], {
-            "owner": Coded(every_shape.occluder[order].astype(np.uint16), by=ROW_BEFORE),
-            "outline": Coded(outline[order].astype(np.uint32), by="owner"),
+            "owner": Codes(every_shape.occluder[order].astype(np.uint16), by=ROW_BEFORE),
+            "outline": Codes(outline[order].astype(np.uint32), by="owner"),
             **_outline_columns(moving.take(new)),
         }
 
-    def still_columns(self) -> dict[str, Column | Coded]:
+    def still_columns(self) -> dict[str, Column | Codes]:
         """The outlines that all parts refer to, numbered from `STILL` on."""
         return _outline_columns(self._still.shapes())
 
@@ -297,12 +297,12 @@ class OutlineStore:
         return concatenated(self._kept)
 
 
-def _outline_columns(different: Shapes) -> dict[str, Column | Coded]:
+def _outline_columns(different: Shapes) -> dict[str, Column | Codes]:
     return {
-        "outlineOwner": Coded(different.occluder.astype(np.uint16), by=ROW_BEFORE),
-        "lineCount": Coded(different.lines.astype(np.uint32), by="outlineOwner"),
-        "cornerCount": Coded(different.count.astype(np.uint32), by=ROW_BEFORE),
-        "corners": Coded(different.corners, by=OUTLINE_BEFORE),
+        "outlineOwner": Codes(different.occluder.astype(np.uint16), by=ROW_BEFORE),
+        "lineCount": Codes(different.lines.astype(np.uint32), by="outlineOwner"),
+        "cornerCount": Codes(different.count.astype(np.uint32), by=ROW_BEFORE),
+        "corners": Codes(different.corners, by=OUTLINE_BEFORE),
     }
 
 

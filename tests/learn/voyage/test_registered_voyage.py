@@ -16,11 +16,11 @@ from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d import InputError, ModsimError, Scene, VoyageResult, learn_voyage, load_scene, run_scene
 from modsim3d.io.atomic_write import write_files
 from modsim3d.learn.voyage import camera_registration
-from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_known, with_moved_vessels
+from modsim3d.learn.voyage.camera_registration import KnownMeans, RegistrationOptions, parse_known, with_moved_vessels
 from modsim3d.learn.voyage.clock import noted_clock_s, read_reports
 from modsim3d.learn.voyage.coverage import unmatched_stretches
 from modsim3d.learn.voyage.exclusions import ReportAge
-from modsim3d.learn.voyage.labelled_voyage import Registered, VoyageOptions, labelled_voyage, scene_files
+from modsim3d.learn.voyage.labelled_voyage import CameraFit, VoyageOptions, labelled_voyage, scene_files
 from modsim3d.learn.voyage.log_to_scene import Correction, on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.non_ais.classification import TimeSpan, classify_unmatched
@@ -181,12 +181,12 @@ def write_sample(folder: Path) -> None:
     write_scene(traffic, folder / "ais", Path("benchmarks/voyages/one_label.yaml"))
 
 
-def registered(scene: Scene, log: Path) -> tuple[Registered, tuple[str, ...]]:
+def registered(scene: Scene, log: Path) -> tuple[CameraFit, tuple[str, ...]]:
     """The registration of the log's camera, and the remarks on the log."""
     read = on_scene(read_log(log), scene)
-    found = Registering(("k1",)).of(scene, read.cameras[0], read.source)
+    found = RegistrationOptions(("k1",)).of(scene, read.cameras[0], read.source)
     assert found is not None
-    return Registered(read.source, found, read.cameras[0].clock_s), read.notes
+    return CameraFit(read.source, found, read.cameras[0].clock_s), read.notes
 
 
 @pytest.fixture(scope="module")
@@ -201,12 +201,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def first(log: Path) -> Registered:
+def first(log: Path) -> CameraFit:
     return registered(load_scene(log.parent / "ais"), log)[0]
 
 
 @pytest.fixture(scope="module")
-def written(log: Path, first: Registered) -> Path:
+def written(log: Path, first: CameraFit) -> Path:
     """The folder with the registered scene."""
     write_files(scene_files(load_scene(log.parent / "ais"), [first], log.parent / "written"))
     return log.parent / "written"
@@ -242,7 +242,7 @@ LENSES = [{"hfov_deg": 50}, {"K": [[1400, 0, 960], [0, 1400, 540], [0, 0, 1]]}, 
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=["view", "matrix", "pixels"])
-def test_the_focal_length_of_each_form_of_a_lens_is_registered(log: Path, first: Registered, tmp_path, lens) -> None:
+def test_the_focal_length_of_each_form_of_a_lens_is_registered(log: Path, first: CameraFit, tmp_path, lens) -> None:
     was = load_scene(log.parent / "ais", settings={f"cameras.shore.{key}": value for key, value in lens.items()})
     write_files(scene_files(was, [first], tmp_path))
     before, after = (scene.cameras[0].intrinsics.focal_px for scene in (was, load_scene(tmp_path)))
@@ -277,7 +277,7 @@ def test_known_means_are_taken_off_and_told_and_vessels_are_where_they_were(tmp_
     found = Voyage.of(KNOWN.scene_of(scene), "shore", {}).detections(0)
     boxes_px = found.boxes_px + np.array([6.0, 0, 6.0, 0])
     log = strait_logs.written(tmp_path / "log.csv", found.times_s[found.frame], boxes_px)
-    known = labelled_voyage(on_scene(read_log(log), scene), VoyageOptions(Registering(("k1",), known=KNOWN)))
+    known = labelled_voyage(on_scene(read_log(log), scene), VoyageOptions(RegistrationOptions(("k1",), known=KNOWN)))
     registration = known.registered[0].registration
     assert registration["yaw_deg"].value == pytest.approx(0, abs=0.04)
     assert registration["clock_s"].value == pytest.approx(0, abs=0.5) and registration["mean_x_px"].value == 6

@@ -46,7 +46,7 @@ class Schedule:
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class ReceivedReports:
     """The reports of a schedule that are received, shape (m,) each."""
 
     times_s: Array  # of sending, since the first step
@@ -119,10 +119,10 @@ def own_static_schedule(times_s: Indices, end_s: float) -> Schedule:
     return Schedule(due, np.zeros(len(due)))
 
 
-def heard(schedule: Schedule, times_s: Indices, end_s: float, lost: float, draws: Array) -> Heard:
+def heard(schedule: Schedule, times_s: Indices, end_s: float, lost: float, draws: Array) -> ReceivedReports:
     """The reports that are sent while the vessel is there, and received. There is a fix at each of `times_s` (n,); the
     vessel leaves at `end_s`; `lost` is the share that is lost, `draws` are uniform numbers: (m, 2)."""
     sent = np.floor((schedule.due_s + (2 * draws[:, 0] - 1) * schedule.spread_s) / SLOT_S) * SLOT_S
     fix = np.floor(sent - AGE_S).astype(np.int64) - int(times_s[0])
     there = (fix >= 0) & (fix < len(times_s)) & (sent <= end_s) & (draws[:, 1] >= lost)
-    return Heard(sent[there], fix[there], np.flatnonzero(there))
+    return ReceivedReports(sent[there], fix[there], np.flatnonzero(there))

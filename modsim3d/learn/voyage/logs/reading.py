@@ -228,7 +228,7 @@ _MAX_OFF = 0.05  # share of the gaps that may be further off where the interval 
 
 
 @dataclass(frozen=True, eq=False)
-class Filled:
+class EmptyFrames:
     """Frames of a camera that must have been between those with detections."""
 
     time_s: Array  # the times that were added, (k,)
@@ -236,12 +236,12 @@ class Filled:
     longest_s: float  # the longest time without any detection
 
 
-def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
+def filled(time_s: Array, rate_hz: float | None, source: str) -> EmptyFrames:
     """Frames without detections between those with, of times (n,), at a rate, by default that of the usual gap. Raises
     InputError if no rate fits, or frames are too many."""
     gaps = np.diff(time_s)
     if not len(gaps):
-        return Filled(np.empty(0), rate_hz or 1.0, 0.0)
+        return EmptyFrames(np.empty(0), rate_hz or 1.0, 0.0)
     # The usual gap is that which most of those that are no multiple of it are near to: the median of the short half.
     interval = 1 / rate_hz if rate_hz else float(np.median(np.sort(gaps)[: max(1, (len(gaps) + 1) // 2)]))
     count = np.maximum(np.rint(gaps / interval), 1)
@@ -261,7 +261,7 @@ def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
         problem = f"spans {len(time_s) + int(count.sum()):,} frames of {1 / interval:g} Hz, at most {MAX_FRAMES:,}"
         raise InputError(source, [problem])
     between = [time_s[k] + gaps[k] * np.arange(1, count[k]) / count[k] for k in np.flatnonzero(count > 1).tolist()]
-    return Filled(np.concatenate([np.empty(0), *between]), 1 / interval, float(gaps.max()))
+    return EmptyFrames(np.concatenate([np.empty(0), *between]), 1 / interval, float(gaps.max()))
 
 
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")

@@ -103,7 +103,7 @@ SAME = 0.003  # the drifts stay if no value changes by more, in plausible distan
 
 
 @dataclass(frozen=True, eq=False)
-class Estimated:
+class LastFit:
     """The last fit."""
 
     aligned: Alignment
@@ -114,13 +114,13 @@ class Estimated:
 
 def estimate(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
-) -> Estimated:
+) -> LastFit:
     """Fit the free shared values with what is wrong with vessels; see `register` for the latter two."""
     if noise_m:
         return _with_drift(aligner, aligned, free, offsets_m, noise_m)
     aligned, effects, together = _with_effects(aligner, aligned, free, offsets_m)
     linear = linearized(aligner, aligned)
-    return Estimated(aligned, linear, effects, _known(linear, free, aligned, effects, together))
+    return LastFit(aligned, linear, effects, _known(linear, free, aligned, effects, together))
 
 
 def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
@@ -230,7 +230,7 @@ class _Round:
 
 def _with_drift(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
-) -> Estimated:
+) -> LastFit:
     """Estimate a drift of positions too, by nearly linear fits. Raises ModsimError if no match is left with it."""
     late = np.array([0.0, 0.0, 0.0 if offsets_m is None else DELAY_S])
     first_m = FIRST_M if offsets_m is None else offsets_m
@@ -252,7 +252,7 @@ def _with_drift(
     known = white.known_by_model(together, degrees)
     for cluster in (vessel, blocks_of(aligned.residuals)):
         known = wider(known, white.known_by(cluster, degrees))
-    return Estimated(aligned, fitted.linear, effects, known)
+    return LastFit(aligned, fitted.linear, effects, known)
 
 
 def _round(

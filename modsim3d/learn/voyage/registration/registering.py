@@ -13,7 +13,7 @@ from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.log_to_scene import Correction
 from modsim3d.learn.voyage.registration import parameters
-from modsim3d.learn.voyage.registration.estimating import PROBED, Estimated, blocks_of, columns, estimate, linearized
+from modsim3d.learn.voyage.registration.estimating import PROBED, LastFit, blocks_of, columns, estimate, linearized
 from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, BoxesAtTimes, Sightings
 from modsim3d.learn.voyage.registration.initial_guesses import check_matches, check_times, explained, rivals_of, starts
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
@@ -208,11 +208,11 @@ class _LastFit:
     noise_m: float
     names: tuple[str, ...]  # of the vessels
 
-    def of(self, aligned: Alignment) -> Estimated:
+    def of(self, aligned: Alignment) -> LastFit:
         """The fit from an alignment."""
         return estimate(self.aligner, self._settled(aligned), self.free, self.offsets_m, self.noise_m)
 
-    def from_start(self, start: Values) -> Estimated | None:
+    def from_start(self, start: Values) -> LastFit | None:
         """The fit from other values; None where its matches come to nothing, so that it is no registration."""
         aligner = self.aligner
         aligned = aligner.until_stable(aligner.first(start), aligner.all_unknowns(), tied=True)
@@ -231,7 +231,7 @@ class _LastFit:
         return self.aligner.until_stable(again, self.aligner.all_unknowns(), tied=False)
 
 
-def _best(aligner: Aligner, fits: Sequence[Estimated], free: tuple[str, ...]) -> tuple[Estimated, parameters.Knowledge]:
+def _best(aligner: Aligner, fits: Sequence[LastFit], free: tuple[str, ...]) -> tuple[LastFit, parameters.Knowledge]:
     """The fit that explains the detections best, with intervals that hold those nearly as good, too."""
     if len(fits) == 1:
         return fits[0], fits[0].known
