@@ -179,8 +179,10 @@ def test_sources_without_times_of_their_own_need_the_scenes(tmp_path, name):
         "traffic": {"own": {"a": {"waypoints_m": [[0, 0], [900, 0]], "speed_m_s": 3}}},
     }
     assert load_scene(scene_of(tmp_path, {name: good[name]})).steps == 20
-    with pytest.raises(InputError, match=f"poses: {name} has no times of its own: give time_step_s beside it"):
-        load_scene(scene_of(tmp_path, {name: good[name]}, time_step_s=None))
+    for missing in (["time_step_s"], ["steps", "time_step_s"]):
+        said = f"poses: {name} has no times of its own: give {' and '.join(missing)} beside it"
+        with pytest.raises(InputError, match=said):
+            load_scene(scene_of(tmp_path, {name: good[name]}, **dict.fromkeys(missing)))
 
 
 def test_vessels_appear_and_leave_and_the_document_lists_every_source_and_its_keys(tmp_path):

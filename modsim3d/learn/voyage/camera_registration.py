@@ -135,7 +135,7 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RegistrationOptions:
-    """Options: `RegistrationOptions(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")` registers.
+    """Options: `RegistrationOptions(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")` runs.
     Parameters in `fixed` stay as the scene has them, and detections below `least_confidence` take no part."""
 
     fixed: tuple[str, ...] = ()

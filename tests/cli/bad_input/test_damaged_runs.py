@@ -131,8 +131,8 @@ WRONG = {  # table, column, row, value, part of the message
     "a negative width": ("detections", "width_px", 0, -3.0, "row 0, column 'width_px': must be from 0 to 640"),
     "a corner outside": ("detections", "x_max_px", 0, 1e300, "row 0, column 'x_max_px': must be from 0 to 640"),
     "no corner": ("detections", "y_min_px", 1, None, "row 1, column 'y_min_px': must be a number"),
-    "the centre of another box": ("detections", "centre_y_px", 0, 0.0, "column 'centre_y_px': must be that of the box"),
-    "the height of another box": ("detections", "height_px", 0, 479.0, "column 'height_px': must be that of the box"),
+    "the centre of another box": ("detections", "centre_x_px", 0, 0.5, "column 'centre_x_px': must be that of the box"),
+    "the height of another box": ("detections", "height_px", 0, 1.0, "column 'height_px': must be that of the box"),
     "half an error": ("detections", "e_x_px", 0, float("inf"), "row 0, column 'e_x_px'"),
     "a wrong count": ("frames", "n_false", 0, 99, "row 0, column 'n_false': must be the number in "),
 }
@@ -143,7 +143,7 @@ def test_a_wrong_value_is_named_with_its_file_row_and_column(run, wrong):
     name, column, row, value, message = WRONG[wrong]
     table = read(run, name)
     values, place = table[column].to_pylist(), table.column_names.index(column)
-    values[row] = value
+    values[row] = values[row] + value if wrong.endswith("another box") else value
     replace_table(run, name, table.set_column(place, column, pa.array(values, table[column].type)))
     with pytest.raises(RunDirectoryError, match=rf"{name}\.parquet|frames\.parquet") as refused:
         open_run(run).tables()

@@ -69,11 +69,13 @@ WRONG = {
     "--fixed all,pitch": "all stands alone (got 'all,pitch')",
     "--fixed ": "no parameter '' (known: clock, roll, pitch, yaw, height, focal, k1, mean_width",
     "--known mean_x=1": "--fixed all leaves out",
+    "--known mean_width=2": "mean_width: must be a share above -1 and below 1, such as 0.02 (got '2')",
     "--stale 90": "was not made by modsim3d ais",
     "--empty soon": "must be FROM-TO in seconds",
     "--empty 900-1000": "no frame lies in it",
     "--empty 2024-01-04T10:02Z/2024-01-04T10:03Z": "does not say when it starts",
     "--position-noise -1": "must be metres from 0 to 100 (got -1)",
+    "--position-noise 101": "must be metres from 0 to 100 (got 101)",
 }
 
 
