@@ -85,9 +85,7 @@ WRONG = {
     "load_scene state": lambda run: modsim3d.load_scene("simulation_1", state_from="conditions"),
     "simulate_frames": lambda run: list(modsim3d.simulate_frames(modsim3d.load_scene("simulation_1", state="none"))),
     "detect_run": lambda run: modsim3d.detect_run(run, run.parent / "x", settings={"waves.level": "large"}),
-    "detect_truth": lambda run: modsim3d.detect_truth(
-        run / "nothing.txt", run.parent / "x", detector="thesis", seed=-1
-    ),
+    "detect_truth": lambda run: modsim3d.detect_truth(run / "none.txt", run.parent / "x", detector="thesis", seed=-1),
     "labelled_video": lambda run: modsim3d.labelled_video(run / "run.json").__enter__(),
     "open_run": lambda run: modsim3d.open_run(run / "run.json"),
     "track_run": lambda run: modsim3d.track_run(run, run.parent / "x", tracker="srot"),

@@ -87,7 +87,7 @@ def test_a_row_says_only_what_its_interval_does_not():
     assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)  # the axis of a share ends at 1
 
 
-def test_the_verdict_stands_before_all_numbers_and_the_page_names_what_they_mean_and_needs_no_network(
+def test_the_verdict_stands_before_all_numbers_and_the_page_names_their_meaning_and_needs_no_network(
     campaign, tmp_path
 ):
     report_campaign(campaign.path, tmp_path / "report.html")

@@ -397,9 +397,7 @@ def ultralytics(tmp_path):
     return tmp_path
 
 
-def test_yolos_images_say_how_large_they_are_without_their_pixels_and_folders_not_meant_are_refused(
-    ultralytics, monkeypatch
-):
+def test_yolos_images_say_their_size_without_their_pixels_and_folders_not_meant_are_refused(ultralytics, monkeypatch):
     folders = ultralytics / "set" / "labels" / "val", ultralytics / "predict"
     labelled = read_pair("day", *folders, ReadOptions())
     assert labelled.images.names == ("a", "b", "empty")

@@ -344,9 +344,7 @@ def test_poses_that_are_cut_off_are_told_and_whole_ones_read_whatever_their_name
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_poses_that_unpack_to_too_much_are_refused_and_a_short_text_takes_little_room(
-    tmp_path, refused, monkeypatch, packed
-):
+def test_poses_that_unpack_to_too_much_are_refused_and_short_text_takes_little(tmp_path, refused, monkeypatch, packed):
     pack = gzip.compress if packed else bytes
     (tmp_path / "short.txt").write_bytes(pack(b"short"))
     tracemalloc.start()

@@ -44,9 +44,7 @@ distortion_model: plumb_bob
 distortion_coefficients: {{rows: 1, cols: 5, data: [-0.1, 0.02, 0.001, -0.002, 0]}}
 projection_matrix: {{rows: 3, cols: 4, data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]}}
 """
-MESSAGE = (
-    f"height: 480\nwidth: 640\ndistortion_model: plumb_bob\nD: [-0.1, 0.02, 0.001, -0.002, 0]\nK: [{NUMBERS}]\n---\n"
-)
+MESSAGE = f"height: 480\nwidth: 640\ndistortion_model: plumb_bob\nD: [-.1, .02, .001, -.002, 0]\nK: [{NUMBERS}]\n---\n"
 KALIBR = """bow:
   camera_model: pinhole
   distortion_coeffs: [-0.1, 0.02, 0.001, -0.002]
@@ -128,9 +126,7 @@ def test_a_box_is_where_a_hand_calculation_has_it_and_degrees_are_radians(tmp_pa
     assert (mount.roll_rad, mount.pitch_rad, mount.yaw_rad) == pytest.approx((math.pi, math.radians(9), 0.1))
     (camera,) = scene_with(tmp_path, file, settings={"cameras.bow.K": K}).cameras
     assert camera.intrinsics.principal_point_px == (310.5, 230.5)
-    with pytest.raises(
-        InputError, match=r"settings\[.cameras\.bow\.skew.\]: does not go with K: leave one of them out"
-    ):
+    with pytest.raises(InputError, match=r"settings\[.cameras\.bow\.skew.\]: does not go with K: leave one of them"):
         scene_with(tmp_path, {**SIZE, "K": K}, settings={"cameras.bow.skew": 2})
 
 

@@ -167,10 +167,7 @@ FAULTS = {
         "echo '{\"step\":3,}'",
         r"at 3 s: it answered '\{\"step\":3,\}': this is no JSON: trailing comma at column 11",
     ),
-    "writes its step as text": (
-        """echo '{"camera":"C0","step":"3","tracks":[]}'""",
-        "step: a whole number is needed .got '3'",
-    ),
+    "writes its step as text": ("""echo '{"camera":"C0","step":"3","tracks":[]}'""", "whole number is needed .got '3'"),
     "has a camera that is none": (
         """echo '{"camera":"C0","step":3,"tracks":[{"track":1,"camera":"","box_px":[5,5,9,9]}]}'""",
         "track 1: its camera must be C0, not ''",

@@ -66,7 +66,7 @@ def by_trying_all(truths, tracks, power, switch):
     """The metric by the best sequence of assignments, each step's tried all."""
     n, m, alone = len(truths), len(tracks), C**power / 2
     choices = [
-        each for each in itertools.product(range(-1, m), repeat=n) if len({*each} - {-1}) == sum(j >= 0 for j in each)
+        way for way in itertools.product(range(-1, m), repeat=n) if len({*way} - {-1}) == sum(j >= 0 for j in way)
     ]
 
     def cost(step, choice):

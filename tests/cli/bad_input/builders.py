@@ -30,10 +30,7 @@ GOOD: dict[str, Any] = {
         "seed": 1,
         "vessels": "vessels.json",
         "poses": {"file": "poses.json"},
-        "cameras": {
-            "C0": lens(mount={"vessel": "vehicle1", "position_m": [4.0, 0.0, 1.0]}),
-            "shore": lens(pose=ASHORE),
-        },
+        "cameras": {"C0": lens(mount={"vessel": "vehicle1", "position_m": [4.0, 0, 1]}), "shore": lens(pose=ASHORE)},
         "annotation": {"mode": 2, "source": "rendered"},
         "detector": "detector.yaml",
     },

@@ -26,12 +26,7 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("scene", "sed", 3, "sed: unknown key (did you mean 'seed'?)"),
     ("scene", "annotation/mod", 3, "annotation.mod: unknown key (did you mean 'mode'?)"),
     ("scene", "cameras/C0/focal_lenght_m", 1, ("C0.focal_lenght_m: unknown key", "did you mean 'focal_length_m'?")),
-    (
-        "scene",
-        "cameras/C0/mount/pitch",
-        1,
-        "cameras.C0.mount.pitch: unknown key (did you mean 'pitch_deg' or 'pitch_rad'?)",
-    ),
+    ("scene", "cameras/C0/mount/pitch", 1, "C0.mount.pitch: unknown key (did you mean 'pitch_deg' or 'pitch_rad'?)"),
     ("scene", "detector", DELETED, "detector: missing"),
     ("scene", "cameras/shore/image_size_px", DELETED, "cameras.shore.image_size_px: missing"),
     ("vessels", "vehicle2/beam_m", DELETED, "vessels.json: vehicle2.beam_m: missing"),

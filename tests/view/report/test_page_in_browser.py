@@ -303,9 +303,7 @@ def test_mistakes_are_in_picture_list_and_gallery_and_a_line_joins_a_box_to_its_
     assert thumbs[0].startswith(f"{browser.run('player.recording.facts.timestamps[player.index]')} s")
 
 
-def test_pictures_of_the_scene_are_below_the_boxes_of_mistakes_and_not_while_the_run_plays(
-    browser, mistaken_folder, tmp_path
-):
+def test_pictures_of_the_scene_are_below_boxes_of_mistakes_and_not_while_it_plays(browser, mistaken_folder, tmp_path):
     run = open_run(mistaken_folder)
     browser.open(write_report(run, tmp_path / "look.html", every=60, look=parse_look("shaded")))
     images = browser.run("player.recording.facts.images.map(({ files, shown }) => [files.length, shown])")

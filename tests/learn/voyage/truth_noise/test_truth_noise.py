@@ -80,9 +80,7 @@ def noisy_set(scene, view, times, seed=0, position_m=10.0, std_px=STD_PX, lastin
         white = normal_chain(np.exp(-gap_s / box_s), rng, *true.shape)[frame, vessel]
     shift, half = white[:, :2] * std_px[:2], white[:, 2:] * std_px[2:] / 2
     seen = true[frame, vessel] + np.concatenate([shift - half, shift + half], axis=1)
-    shots = labelled_files.images(
-        len(times), tuple(float(side) for side in view.camera.intrinsics.image_size_px), times
-    )
+    shots = labelled_files.images(len(times), tuple(map(float, view.camera.intrinsics.image_size_px)), times)
     annotated = labelled_files.truth(frame, 0 * frame, reported[frame, vessel], identity=vessel)
     results = labelled_files.found(frame, 0 * frame, seen, np.full(len(frame), 0.9), origin=np.arange(len(frame)))
     return LabelledSet(("boat",), ("all",), shots, annotated, results)
