@@ -15,7 +15,7 @@ from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.runs.locating import locate
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
-from tests.runs.positions.test_locating import position_scene
+from tests.runs.test_locating import position_scene
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "positions.md").read_text(encoding="utf-8")
 BOX = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")

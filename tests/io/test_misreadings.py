@@ -121,7 +121,7 @@ ROWS: dict[str, Spoiled] = {
         ),
         lambda a, b, c, d, W, H: (a / W, b / H, c / W, d / H),
     ),
-    "percent of the image": boxes(*[lambda a, b, c, d, W, H: (100 * a / W, 100 * b / H, 100 * c / W, 100 * d / H)] * 2),
+    "per cent of image": boxes(*[lambda a, b, c, d, W, H: (100 * a / W, 100 * b / H, 100 * c / W, 100 * d / H)] * 2),
     "y from below": boxes(
         lambda x, y, w, h, W, H: (x, H - y - h, w, h) if W > 1 else (x, 1 - y, w, h),
         lambda a, b, c, d, W, H: (a, H - d, c, H - b),

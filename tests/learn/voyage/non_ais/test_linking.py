@@ -10,7 +10,7 @@ from modsim3d.learn.voyage.non_ais.classification import CrossingTracks, classif
 from modsim3d.learn.voyage.non_ais.linking import STEADY, Behaviour, jitter_of, link, things_of
 from modsim3d.learn.voyage.report import sentences
 from tests.formats.labelled_files import found, truth
-from tests.learn.voyage.unseen.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
+from tests.learn.voyage.non_ais.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
 
 NOTHING = truth([], [], np.empty((0, 4)))
 

@@ -15,7 +15,7 @@ from modsim3d.learn.self_check import simulated
 from modsim3d.learn.voyage.non_ais.classification import RateSource, TimeSpan, classify_unmatched, parse_stretches
 from modsim3d.learn.voyage.report import learn_beside_unseen, rows_of, sentences
 from tests.learn.one_state import detector
-from tests.learn.voyage.unseen.voyages import HORIZON_PX, Flicker, observed, voyage
+from tests.learn.voyage.non_ais.voyages import HORIZON_PX, Flicker, observed, voyage
 
 PLAIN = frozenset(RICHER) - {"confidence"}
 RATE, SEEDS = 0.4, 30
