@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.voyages.reported import lasting
 from modsim3d.core.arrays import Array
-from modsim3d.learn.voyage.reference_error import TruthNoise
+from modsim3d.learn.voyage.reference_error import ReferenceNoise
 from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import RecordedPoses
@@ -37,8 +37,8 @@ class Guesses:
 
     @classmethod
     def drawn(cls, scene: Scene, seed: int) -> Guesses:
-        """Draw them for the scene that `modsim3d ais` has made, as `TruthNoise` has their spread."""
-        noise, rng = TruthNoise.of(scene), np.random.default_rng([seed, 2])
+        """Draw them for the scene that `modsim3d ais` has made, as `ReferenceNoise` has their spread."""
+        noise, rng = ReferenceNoise.of(scene), np.random.default_rng([seed, 2])
         constant = rng.normal(0, noise.std)
         headings = rng.normal(size=(scene.steps, len(scene.vessels)))
         lasting(headings.T, np.exp(-np.diff(scene.times_s(0, scene.steps)) / noise.position_s))

@@ -14,7 +14,7 @@ from modsim3d.learn.learn_detector import MIN_CONFIDENCE
 from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.clock import read_reports
 from modsim3d.learn.voyage.log_to_scene import CameraLog
-from modsim3d.learn.voyage.reference_error import POSITION_M, TruthNoise
+from modsim3d.learn.voyage.reference_error import POSITION_M, ReferenceNoise
 from modsim3d.learn.voyage.registration.icp import BoxesAtTimes
 from modsim3d.learn.voyage.registration.parameters import SHARED_NAMES, SHORT
 from modsim3d.learn.voyage.registration.registering import BY_RULE, Registration, register
@@ -151,7 +151,7 @@ class RegistrationOptions:
         camera = scene.cameras[log.camera]
         attitude = self.attitude if self.attitude and self.attitude.vessel == camera.mount.vessel else None
         known = attitude.known(log.time_s) if attitude else np.ones(len(log.time_s), dtype=bool)
-        sizes, ais = not _SIZES & TruthNoise.of(scene).reasons.keys(), read_reports(scene.path) is not None
+        sizes, ais = not _SIZES & ReferenceNoise.of(scene).reasons.keys(), read_reports(scene.path) is not None
         log = log.take(known)
         sure = np.isnan(log.confidence) | (log.confidence >= self.least_confidence)
         try:

@@ -180,12 +180,12 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) ->
     order = np.lexsort((links.time_s, links.link))
     starts = np.searchsorted(links.link[order], np.arange(links.count))
     found = []
-    for thing, rows in enumerate(np.split(order, starts[1:]) if links.count else []):
+    for tracklet, rows in enumerate(np.split(order, starts[1:]) if links.count else []):
         view = voyage.views[int(of_view[links.image[rows[0]]])]
         boxes = voyage.labelled.results.boxes_px[links.rows[rows]]
         bearing = float(bearings(view.camera, boxes, 1.0)[0].mean())
-        likely = judged.lasting[thing]
-        against = Behaviour(judged.things.behaviour[thing])
+        likely = judged.lasting[tracklet]
+        against = Behaviour(judged.tracklets.behaviour[tracklet])
         why = "" if against is Behaviour.LIKE_A_VESSEL else f": {against.in_words}"
         what = f"a vessel without a transponder ({in_percent(likely)})" if likely >= _HALF else f"false{why}"
         if judged.empty[links.image[rows]].all():

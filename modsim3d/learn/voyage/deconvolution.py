@@ -18,7 +18,7 @@ from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.matches import ErrorSource, Pairs
 from modsim3d.learn.persistence import frame_interval_s, steps_between
 from modsim3d.learn.report import LearnReport
-from modsim3d.learn.voyage.reference_error import TruthErrors, TruthNoise, View, box_jacobians
+from modsim3d.learn.voyage.reference_error import ReferenceErrors, ReferenceNoise, View, box_jacobians
 from modsim3d.scene.scene import Scene
 
 # ---- The covariance of box errors without that part ----
@@ -30,7 +30,7 @@ _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
-class LessNoise:
+class Deconvolution:
     """Errors of one state, less those of truth; where one of e_x, e_y, e_w, e_h was not `taken_off`, an upper bound.
     `at_least` are standard deviations of what changes from frame to frame, the detector's, nan if unknown; `noise_std`
     are those by errors of truth, in the unit of the errors; `before` and `after` are means over boxes."""
@@ -49,9 +49,9 @@ class LessNoise:
         return tuple(name for name, taken in zip(ERROR_COMPONENTS, self.taken_off, strict=True) if not taken)
 
 
-def less_noise(
+def deconvolve(
     errors: LearnedErrors, noise: Array, sides_px: Array, level: float, measured: Array, at_least: Array, cut_off: bool
-) -> LessNoise:
+) -> Deconvolution:
     """Take the covariance of errors of truth off the errors of a state, where the rest is surely positive: where its
     interval of the level does not reach 0. `noise` is the covariance in the errors' unit, estimate and replicates,
     (rows, 4, 4); `sides_px` are width, height, width and height of the boxes, (n, 4).
@@ -81,7 +81,7 @@ def less_noise(
         correlation=_with(errors.correlation, correlation),
         growth=None if errors.growth is None else _with(errors.growth, growth * factors),
     )
-    return LessNoise(
+    return Deconvolution(
         written,
         taken,
         np.sqrt(np.diag(noise[0])),
@@ -188,13 +188,13 @@ class ComponentNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class TakenOff:
+class CorrectedDetector:
     """A detector of which the errors of truth are taken off. Where these last far longer than those of the detector,
     they are `slow`, and are taken off what persists as well."""
 
     learned: Learned  # what is written
-    states: tuple[LessNoise | None, ...]  # None where too few boxes tell the errors of truth
-    noise: TruthNoise
+    states: tuple[Deconvolution | None, ...]  # None where too few boxes tell the errors of truth
+    noise: ReferenceNoise
     moved: int  # number of vessels whose places registration has found
     slow: bool
 
@@ -257,18 +257,18 @@ TITLE = "Standard deviations of box errors, with and without errors of truth"
 HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "at least", "written", "")
 
 
-def take_off_truth_noise(
-    learned: Learned, scene: Scene, views: Sequence[View], noise: TruthNoise, level: float = 0.95, seed: int = 0
-) -> TakenOff:
+def subtract_reference_error(
+    learned: Learned, scene: Scene, views: Sequence[View], noise: ReferenceNoise, level: float = 0.95, seed: int = 0
+) -> CorrectedDetector:
     """Take errors of truth off the learned box errors, where what is left is surely positive: where its interval of the
     level does not reach 0. The identities of the learned annotations are indices of the scene's vessels, see `View`;
     `seed` is that of the draws of errors of truth."""
     box_errors, rows = learned.numbers.box_errors, len(learned.resampling.weights)
     if not noise.std.any():
-        return TakenOff(learned, (None,) * len(box_errors.states), noise, 0, False)
+        return CorrectedDetector(learned, (None,) * len(box_errors.states), noise, 0, False)
     jacobians = _Jacobians.of(learned, scene, views)
     numbers = range(len(box_errors.states))
-    states = [_state_less_noise(learned, index, jacobians, noise, level, seed + index) for index in numbers]
+    states = [_deconvolved_state(learned, index, jacobians, noise, level, seed + index) for index in numbers]
     box_s, share = box_errors.box_s, box_errors.box_vessel_share
     slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
     if slow and box_s is not None:
@@ -280,13 +280,15 @@ def take_off_truth_noise(
     errors = tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True))
     box_errors = replace(box_errors, states=errors, box_s=box_s, box_vessel_share=share)
     written = replace(learned, numbers=replace(learned.numbers, box_errors=box_errors))
-    return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow)
+    return CorrectedDetector(
+        written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow
+    )
 
 
-def _state_less_noise(
-    learned: Learned, index: int, jacobians: _Jacobians, noise: TruthNoise, level: float, seed: int
-) -> LessNoise | None:
-    """The errors of a state less those of truth; None where too few boxes tell these. See `take_off_truth_noise`."""
+def _deconvolved_state(
+    learned: Learned, index: int, jacobians: _Jacobians, noise: ReferenceNoise, level: float, seed: int
+) -> Deconvolution | None:
+    """Errors of a state less those of truth; None where too few boxes tell these. See `subtract_reference_error`."""
     box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
     errors, source = box_errors.states[index], learned.form.box_errors.states[index].source
     chosen = pairs.edges.whole if source is not ErrorSource.ALL_PAIRS else pairs.sure
@@ -301,21 +303,21 @@ def _state_less_noise(
     measured = _measured(learned, chosen, relative)
     at_least = _changes(learned, chosen, relative, of_truth.change, noise.position_s)
     cut_off = box_errors.used[index].lost > _MAX_LOST
-    return less_noise(errors, covariances, pairs.sides_px[chosen], level, measured, at_least, cut_off)
+    return deconvolve(errors, covariances, pairs.sides_px[chosen], level, measured, at_least, cut_off)
 
 
-def report_less_truth_noise(
-    report: LearnReport, scene: Scene, views: Sequence[View], noise: TruthNoise
-) -> tuple[LearnReport, TakenOff]:
+def corrected_report(
+    report: LearnReport, scene: Scene, views: Sequence[View], noise: ReferenceNoise
+) -> tuple[LearnReport, CorrectedDetector]:
     """Report with learned numbers without errors of truth, and with remarks that say so."""
-    found = take_off_truth_noise(report.learned, scene, views, noise, report.level)
+    found = subtract_reference_error(report.learned, scene, views, noise, report.level)
     remarks = (*report.remarks_on_data, *found.sentences())
     return replace(report, learned=found.learned, remarks_on_data=remarks), found
 
 
 @dataclass(frozen=True, eq=False)
 class _Jacobians:
-    """Derivatives of true boxes (n, 4, 8), times, vessels and fits (n,) of pairs at `place` (n,), see `TruthErrors`."""
+    """Derivatives of boxes (n, 4, 8), times, vessels, fits (n,) of pairs at `place` (n,); see `ReferenceErrors`."""
 
     place: Indices
     jacobians: Array
@@ -348,14 +350,14 @@ class _Jacobians:
         time_s = labelled.images.time_s[pairs.image[place]]
         return cls(place, np.concatenate(found), time_s, vessel[place], moved[place])
 
-    def errors(self, pairs: Pairs, chosen: Mask, relative: bool, noise: TruthNoise) -> TruthErrors | None:
+    def errors(self, pairs: Pairs, chosen: Mask, relative: bool, noise: ReferenceNoise) -> ReferenceErrors | None:
         """Errors of truth of some pairs; None of too few."""
         ours = chosen[self.place]
         if ours.sum() < _MIN_PAIRS:
             return None
         unit_px = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
         columns = self.jacobians[ours], self.time_s[ours], self.vessel[ours]
-        return TruthErrors(*columns, noise, unit_px, self.moved[ours])
+        return ReferenceErrors(*columns, noise, unit_px, self.moved[ours])
 
 
 def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:
@@ -377,7 +379,7 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     return np.asarray(np.sqrt(np.maximum(change - noise * -np.expm1(-steps.apart_s / lasting_s).mean(), 0)))
 
 
-def _part_of_truth(states: Sequence[LessNoise | None], pairs: Pairs, rows: int) -> Array:
+def _part_of_truth(states: Sequence[Deconvolution | None], pairs: Pairs, rows: int) -> Array:
     """Share of the whitened errors of all states that was taken off, shape (rows,)."""
     counts = np.bincount(pairs.state, minlength=len(states)).astype(np.float64)
     parts = np.stack([np.zeros(rows) if each is None else each.share for each in states])

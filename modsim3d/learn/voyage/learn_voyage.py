@@ -23,14 +23,14 @@ from modsim3d.learn.voyage import labelled_voyage as truth
 from modsim3d.learn.voyage.attitude import read_attitude
 from modsim3d.learn.voyage.camera_registration import KnownMeans, RegistrationOptions, parse_fixed, parse_known
 from modsim3d.learn.voyage.clock import SceneClock
-from modsim3d.learn.voyage.deconvolution import report_less_truth_noise
+from modsim3d.learn.voyage.deconvolution import corrected_report
 from modsim3d.learn.voyage.exclusions import stale_limit_s
 from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registrar
 from modsim3d.learn.voyage.log_to_scene import Correction, on_scene
 from modsim3d.learn.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.non_ais.classification import TimeSpan, check_stretches, parse_stretches
-from modsim3d.learn.voyage.reference_error import TruthNoise
+from modsim3d.learn.voyage.reference_error import ReferenceNoise
 from modsim3d.learn.voyage.report import VoyageReport, learn_beside_unseen, voyage_sections
 from modsim3d.runs.files.overwrite import RUN_FILE, read_of_run
 from modsim3d.scene.reading import load_scene
@@ -59,11 +59,11 @@ def learn_from(
     position_m: float = 0.0,
 ) -> tuple[LearnReport, VoyageReport]:
     """Learn from a labelled voyage with `stretches` in which nothing floats but the scene's vessels, and `position_m`,
-    see `TruthNoise`. Raises ModsimError if nothing can be learned, or no frame is in a stretch."""
-    noise = TruthNoise.of(voyage.scene, position_m)
+    see `ReferenceNoise`. Raises ModsimError if nothing can be learned, or no frame is in a stretch."""
+    noise = ReferenceNoise.of(voyage.scene, position_m)
     labelled = voyage.labelled if noise.std.any() else with_sure_boxes(voyage.labelled)
     report, judged = learn_beside_unseen(labelled, settings, options, stretches)
-    report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
+    report, taken_off = corrected_report(report, voyage.scene, voyage.views, noise)
     rates = judged.own_rates(settings.replicates, settings.seed)
     return report, VoyageReport(voyage, judged, taken_off, rates, report.level)
 

@@ -36,7 +36,7 @@ _SAME_M = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class TruthNoise:
+class ReferenceNoise:
     """Standard deviations of the errors of truth."""
 
     std: Array  # of the `PARAMETERS` of each vessel, (V, 8)
@@ -44,7 +44,7 @@ class TruthNoise:
     reasons: Mapping[str, int]  # what is uncertain besides positions → number of vessels
 
     @classmethod
-    def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> TruthNoise:
+    def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> ReferenceNoise:
         """Noise of a scene's truth, given the standard deviation of each coordinate of a position and the correlation
         time of its error; after `modsim3d ais`, also of what its report lacks. Raises InputError if that is wrong."""
         file = scene.path.parent / REPORT
@@ -178,13 +178,13 @@ _SEEN_PX = 3.0  # standard deviation of errors of bearing and waterline; it hard
 
 
 @dataclass(frozen=True, eq=False)
-class TruthErrors:
+class ReferenceErrors:
     """The errors that n true boxes have from those of their vessels."""
 
     jacobians: Array  # from `box_jacobians`, (n, 4, 8)
     time_s: Array  # of each box, (n,)
     vessel: Indices  # of each box, (n,)
-    noise: TruthNoise
+    noise: ReferenceNoise
     unit_px: Array  # unit of the learned errors, (n, 4)
     moved: Indices  # number of the fit that has moved each, such as the camera and the vessel; −1 for none, (n,)
 

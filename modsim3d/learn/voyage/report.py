@@ -22,7 +22,7 @@ from modsim3d.learn.states import each_its_own, parse_states
 from modsim3d.learn.voyage import coverage as sea_coverage
 from modsim3d.learn.voyage import deconvolution as truth_noise
 from modsim3d.learn.voyage.coverage import Coverage, FrameStretch
-from modsim3d.learn.voyage.deconvolution import ComponentNoise, TakenOff
+from modsim3d.learn.voyage.deconvolution import ComponentNoise, CorrectedDetector
 from modsim3d.learn.voyage.labelled_voyage import CameraFit, LabelledVoyage
 from modsim3d.learn.voyage.non_ais import classification
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, StateRates, TimeSpan
@@ -52,7 +52,7 @@ def rows_of(rates: Sequence[StateRates], level: float) -> list[tuple[str, ...]]:
 
 def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iterator[str]:
     """Sentences beside the table: vessels, what was not taken for one and why, and what cannot be known."""
-    things, least = judged.things, f"{judged.least_s:g} s"
+    tracklets, least = judged.tracklets, f"{judged.least_s:g} s"
     if not np.isfinite(judged.links.time_s).any() and len(judged.links.rows):
         yield "the frames have no times, so no detection can be followed: all unmatched detections count as false"
         return
@@ -67,8 +67,8 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
     else:
         vessels = int(np.count_nonzero(judged.lasting >= 0.5))
         yield (
-            f"{vessels:,} of {len(things.detections):,} unmatched things are taken for vessels without a transponder: "
-            f"they last {_seconds(judged.kinds.long_s[0])} on average, and flicker that stays "
+            f"{vessels:,} of {len(tracklets.detections):,} unmatched things are taken for vessels without a transponder"
+            f": they last {_seconds(judged.kinds.long_s[0])} on average, and flicker that stays "
             f"{_seconds(judged.kinds.short_s[0])}; their detections count neither as hits nor as false"
         )
         if ignored := int(np.count_nonzero(judged.crossings.annotations)):
@@ -84,9 +84,9 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
             f"{counted(silent, 'unmatched detection', 'unmatched detections')} where vessels pass each other or come "
             "into view at the image's border may be of known ones: they are left out, and count in 'most' alone"
         )
-    lasting = things.lasted_s >= judged.least_s
+    lasting = tracklets.lasted_s >= judged.least_s
     for behaviour in Behaviour:
-        count = int(np.count_nonzero(lasting & (things.behaviour == behaviour)))
+        count = int(np.count_nonzero(lasting & (tracklets.behaviour == behaviour)))
         if count and behaviour is not Behaviour.LIKE_A_VESSEL:
             number = "1 thing that lasts counts" if count == 1 else f"{count:,} things that last count"
             but = ", but not in the least rate" if behaviour in (Behaviour.JUMPS, Behaviour.CHANGES_SIZE) else ""
@@ -243,7 +243,7 @@ class VoyageReport:
 
     voyage: LabelledVoyage
     judged: ClassifiedDetections  # which unmatched detections are of vessels without a transponder
-    taken_off: TakenOff  # what errors of truth were taken off the box errors
+    taken_off: CorrectedDetector  # what errors of truth were taken off the box errors
     rates: tuple[StateRates, ...]  # of false positives in each state, as bounds and between them
     level: float  # of the intervals of the rates
 

@@ -13,8 +13,8 @@ from modsim3d.formats.matching import Rule
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.learn.bootstrap import Column, Entry, Key
 from modsim3d.learn.learned_detector import RICHER
-from modsim3d.learn.voyage.deconvolution import less_noise, share_left, take_off_truth_noise, time_left
-from modsim3d.learn.voyage.reference_error import PARAMETERS, TruthErrors, TruthNoise, View, box_jacobians
+from modsim3d.learn.voyage.deconvolution import deconvolve, share_left, subtract_reference_error, time_left
+from modsim3d.learn.voyage.reference_error import PARAMETERS, ReferenceErrors, ReferenceNoise, View, box_jacobians
 from modsim3d.scene.ais.scene_folder import REPORT
 from modsim3d.scene.scene import Scene
 from tests.formats import labelled_files
@@ -106,7 +106,7 @@ def exact(watched):
 def less(errors, noise, sides, measured=None):
     """Without what was measured, the law alone counts."""
     wide = every_row(1e6 * np.eye(4)) if measured is None else measured
-    return less_noise(errors, noise, sides, 0.95, wide, np.full(4, np.nan), measured is None)
+    return deconvolve(errors, noise, sides, 0.95, wide, np.full(4, np.nan), measured is None)
 
 
 def every_row(covariance):
@@ -115,7 +115,8 @@ def every_row(covariance):
 
 def noise_of(scene, position_m, **parameters):
     given = {"east": position_m, "north": position_m} | {k.replace("_", " "): v for k, v in parameters.items()}
-    return TruthNoise(np.tile([given.get(name, 0.0) for name in PARAMETERS], (len(scene.vessels), 1)), LASTING_S, {})
+    std = np.tile([given.get(name, 0.0) for name in PARAMETERS], (len(scene.vessels), 1))
+    return ReferenceNoise(std, LASTING_S, {})
 
 
 def test_derivatives_are_those_of_the_outlines_and_draws_have_the_covariance_of_independent_errors(watched):
@@ -140,14 +141,14 @@ def test_derivatives_are_those_of_the_outlines_and_draws_have_the_covariance_of_
     jacobians = rng.normal(size=(count, 4, len(PARAMETERS)))
     fleeting = replace(noise_of(scene, 2.0, heading=0.1), position_s=1e-3)
     vessel, still = rng.integers(0, 12, count), np.full(count, -1)
-    errors = TruthErrors(jacobians, np.arange(count) * 1.0, vessel, fleeting, np.ones((count, 4)), still)
+    errors = ReferenceErrors(jacobians, np.arange(count) * 1.0, vessel, fleeting, np.ones((count, 4)), still)
     drawn = errors.covariances(20, 0).mean(axis=0)
     part = jacobians[..., :3] * fleeting.std[0, :3]
     np.testing.assert_allclose(drawn, (part @ np.swapaxes(part, 1, 2)).mean(axis=0), rtol=0.05, atol=0.1)
     # What all boxes share is in their mean and not in the covariance.
     jacobians, still = np.tile(np.eye(4, len(PARAMETERS)), (50, 1, 1)), np.full(50, -1)
     lasting = replace(noise_of(scene, 10.0), position_s=1e9)
-    one = TruthErrors(jacobians, np.arange(50.0), 0 * still, lasting, np.ones((50, 4)), still)
+    one = ReferenceErrors(jacobians, np.arange(50.0), 0 * still, lasting, np.ones((50, 4)), still)
     assert np.abs(one.covariances(20, 0)).max() < 1e-3
 
 
@@ -156,7 +157,7 @@ def test_intervals_hold_the_detectors_errors_and_an_upper_bound_is_the_learned_c
     held, plain, taken = np.zeros(4), np.zeros(4), np.zeros(4)
     for seed in range(SEEDS):
         learned = learned_from(noisy_set(*watched, seed), 40)
-        found = take_off_truth_noise(learned, scene, [view], noise_of(scene, 10.0), seed=seed)
+        found = subtract_reference_error(learned, scene, [view], noise_of(scene, 10.0), seed=seed)
         sure = found.states[0].taken_off
         low, high = found.learned.numbers.box_errors.states[0].std.column.interval(0.95, 50)
         held += (high >= STD_PX) & (~sure | (low <= STD_PX))
@@ -169,7 +170,7 @@ def test_intervals_hold_the_detectors_errors_and_an_upper_bound_is_the_learned_c
     scene, view, _ = watched
     labelled = noisy_set(*watched, std_px=np.array([0.5, 2.0, 2.0, 2.0]))
     learned = learned_from(labelled, 40)
-    found = take_off_truth_noise(learned, scene, [view], noise_of(scene, 10.0))
+    found = subtract_reference_error(learned, scene, [view], noise_of(scene, 10.0))
     (state,) = found.states
     assert state.bounds == ("e_x",)
     before, after = (each.detector()["states"]["all"]["box_error"] for each in (learned, found.learned))
@@ -194,7 +195,7 @@ def test_of_a_vessel_put_in_its_place_only_what_changes_is_left_and_two_logs_mov
     ones, still = np.ones((int(told.sum()), 4)), np.full(int(told.sum()), -1)
     wide = noise_of(scene, 10.0, antenna_along=20.0, antenna_across=5.0)
     std = [
-        [np.sqrt(np.diag(TruthErrors(*columns, noise, ones, fit).covariances(20, 0).mean(axis=0)))[0] for fit in fits]
+        [ReferenceErrors(*columns, noise, ones, fit).covariances(20, 0)[:, 0, 0].mean() ** 0.5 for fit in fits]
         for noise, fits in ((replace(wide, position_s=1e9), (still, vessel[told])), (wide, (still, vessel[told])))
     ]
     assert std[0][1] < 0.02 * std[0][0]  # what never changes was found
@@ -205,18 +206,18 @@ def test_of_a_vessel_put_in_its_place_only_what_changes_is_left_and_two_logs_mov
     steps, middle, moves = np.arange(0, scene.steps, EVERY), len(times) // 2, np.arange(len(scene.vessels)) < 3
     parts = slice(middle), slice(middle, None)
     halves = [replace(view_of(scene, steps[part]), images=view.images[part], moved=moves) for part in parts]
-    found = take_off_truth_noise(learned, scene, halves, off)
+    found = subtract_reference_error(learned, scene, halves, off)
     assert "; less what registration found of 3 vessels" in next(found.sentences())
-    exact = take_off_truth_noise(learned, scene, [view], noise_of(scene, 0.0))
+    exact = subtract_reference_error(learned, scene, [view], noise_of(scene, 0.0))
     assert exact.learned is learned and list(exact.sentences()) == ["errors of truth: none are assumed"]
     unknown = np.full(len(labelled.annotations.identity), -1)
     unpaired = learned_from(replace(labelled, annotations=replace(labelled.annotations, identity=unknown)))
-    assert take_off_truth_noise(unpaired, scene, [view], off).learned.detector() == unpaired.detector()
+    assert subtract_reference_error(unpaired, scene, [view], off).learned.detector() == unpaired.detector()
 
 
 def test_a_scene_from_ais_knows_what_was_missing(tmp_path, watched):
     scene = replace(watched[0], path=tmp_path / "scene.yaml")
-    assert not TruthNoise.of(scene).std[:, 2:].any()
+    assert not ReferenceNoise.of(scene).std[:, 2:].any()
     vessels = {}
     for vessel in scene.vessels:
         sizes = {f"{name}_m": getattr(vessel, f"{name}_m") for name in ("length", "beam", "air_draft")}
@@ -224,7 +225,7 @@ def test_a_scene_from_ais_knows_what_was_missing(tmp_path, watched):
     vessels["v0"] |= {"defaults": ["length", "antenna", "air_draft"], "replaced": {"heading_from_course": 10}}
     vessels["v1"]["air_draft_m"] = 99.0  # the user has put another in the scene
     (tmp_path / REPORT).write_text(json.dumps({"vessels": vessels}))
-    noise = TruthNoise.of(scene, 7.0)
+    noise = ReferenceNoise.of(scene, 7.0)
     assert noise.position_m == 7.0 and noise.std[[0, 2], 2] == pytest.approx(np.radians([6, 1]))
     assert noise.std[[0, 2], 3] == pytest.approx([0.3 * scene.vessels[0].length_m, np.sqrt(2 / 12)])
     assert noise.std[1, 5] == 0 and noise.std[0, 6] > 0 == noise.std[2, 6]
@@ -251,12 +252,12 @@ def test_errors_that_last_come_back_with_their_time(roads):
     slow = replace(noise_of(scene, 5.0), position_s=1e5)
     labelled = noisy_set(scene, view, times, 0, 5.0, np.array([8.0, 2, 2, 2]), 1e5, box_s=6.0)
     learned = learned_from(labelled, 40, plain)
-    found = take_off_truth_noise(learned, scene, [view], slow)
+    found = subtract_reference_error(learned, scene, [view], slow)
     before, after = (each.numbers.box_errors.box_s for each in (learned, found.learned))
     assert abs(after.estimate - 6) < abs(before.estimate - 6)
     low, high = after.column.interval(0.95, learned.units[None])
     assert low <= 6 <= high
-    quick = take_off_truth_noise(learned, scene, [view], replace(slow, position_s=5.0))
+    quick = subtract_reference_error(learned, scene, [view], replace(slow, position_s=5.0))
     assert quick.learned.numbers.box_errors.box_s is before
     assert any("box_s: an upper bound" in said for said in quick.sentences())
 

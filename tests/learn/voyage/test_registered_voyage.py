@@ -25,7 +25,7 @@ from modsim3d.learn.voyage.log_to_scene import Correction, on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.non_ais.classification import TimeSpan, classify_unmatched
 from modsim3d.learn.voyage.non_ais.linking import Behaviour
-from modsim3d.learn.voyage.reference_error import TruthNoise
+from modsim3d.learn.voyage.reference_error import ReferenceNoise
 from modsim3d.learn.voyage.registration.parameters import ConfoundedGroup
 from modsim3d.learn.voyage.report import delay_of, exchanges, registration_lead, registration_table, voyage_json
 from modsim3d.scene.ais.options import Options
@@ -97,9 +97,9 @@ def test_empty_stretches_are_by_the_clock_of_the_log_and_page_and_json_say_what_
     unseen = replace(registered, registration=replace(found, rms_before_px=np.nan))
     assert "off by more than the lens shows with the scene's" in registration_lead(unseen)
     judged = learned.told.judged
-    jumps = np.full_like(judged.things.behaviour, Behaviour.JUMPS)
-    for behaviour, said in ((judged.things.behaviour * 0, "false"), (jumps, "false: moves unsteadily")):
-        other = replace(judged, things=replace(judged.things, behaviour=behaviour))
+    jumps = np.full_like(judged.tracklets.behaviour, Behaviour.JUMPS)
+    for behaviour, said in ((judged.tracklets.behaviour * 0, "false"), (jumps, "false: moves unsteadily")):
+        other = replace(judged, tracklets=replace(judged.tracklets, behaviour=behaviour))
         assert {each.what for each in unmatched_stretches(learned.told.voyage, other)} == {said}
 
 
@@ -228,8 +228,8 @@ def test_a_second_registration_finds_nothing_and_the_folder_is_a_scene_with_all_
     was, now = load_scene(log.parent / "ais"), load_scene(written)
     assert (now.name, now.vessel_names) == ("written", was.vessel_names)
     np.testing.assert_array_equal(now.poses.poses(0, 9).positions_m, was.poses.poses(0, 9).positions_m)
-    np.testing.assert_array_equal(TruthNoise.of(now, 10).std, TruthNoise.of(was, 10).std)
-    assert TruthNoise.of(now).reasons == TruthNoise.of(was).reasons
+    np.testing.assert_array_equal(ReferenceNoise.of(now, 10).std, ReferenceNoise.of(was, 10).std)
+    assert ReferenceNoise.of(now).reasons == ReferenceNoise.of(was).reasons
     fresh = [ReportAge(scene, read_reports(scene.path)).at(np.arange(0, 360, 7.0)).since_s for scene in (was, now)]
     np.testing.assert_array_equal(*fresh)
     assert {path.name for path in written.iterdir()} == {

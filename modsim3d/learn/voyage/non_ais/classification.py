@@ -201,21 +201,21 @@ class CrossingTracks:
 
     image: Indices  # (n,), non-decreasing
     boxes_px: Array  # (n, 4)
-    thing: Indices  # that each is of, (n,)
+    tracklet: Indices  # that each is of, (n,)
 
     @classmethod
     def of(cls, links: Links, chosen: Mask, labelled: LabelledSet) -> CrossingTracks:
         """Tracks of some linked detections (n,), of which each thing is one vessel."""
         images, none = labelled.images, np.empty(0, dtype=np.int64)
         image, boxes_px, number = [none], [np.empty((0, 4))], [none]
-        for thing in np.unique(links.link[chosen]):
-            rows = np.flatnonzero(chosen & (links.link == thing))
+        for tracklet in np.unique(links.link[chosen]):
+            rows = np.flatnonzero(chosen & (links.link == tracklet))
             rows = rows[np.argsort(links.time_s[rows])]
             seen_s, seen_px = links.time_s[rows], labelled.results.boxes_px[links.rows[rows]]
             same = images.sequence == images.sequence[links.image[rows[0]]]
             there = np.flatnonzero(same & (images.time_s >= seen_s[0]) & (images.time_s <= seen_s[-1]))
             image.append(there)
-            number.append(np.full(len(there), thing))
+            number.append(np.full(len(there), tracklet))
             boxes_px.append(np.column_stack([np.interp(images.time_s[there], seen_s, edge) for edge in seen_px.T]))
         order = np.argsort(np.concatenate(image), kind="stable")
         return cls(np.concatenate(image)[order], np.concatenate(boxes_px)[order], np.concatenate(number)[order])
@@ -261,10 +261,10 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
         met.append((row[meet], place[meet], touch[meet]))
     rows, places, touch = (np.concatenate(columns) for columns in zip(*met, strict=True))
     # How long each thing is with each known vessel: in touch, and near enough to be matched with it.
-    pairs = np.column_stack([tracks.thing[places], known.identity[rows]])
+    pairs = np.column_stack([tracks.tracklet[places], known.identity[rows]])
     couples, couple = np.unique(pairs, axis=0, return_inverse=True)
     couple = couple.ravel()
-    most = _PASSES * np.bincount(tracks.thing, minlength=1)[couples[:, 0]]
+    most = _PASSES * np.bincount(tracks.tracklet, minlength=1)[couples[:, 0]]
     passes = np.zeros(len(rows), dtype=bool)
     for chosen in (touch, np.ones(len(rows), dtype=bool)):
         passes |= chosen & (np.bincount(couple[chosen], minlength=len(couples)) <= most)[couple]
@@ -333,7 +333,7 @@ class ClassifiedDetections:
 
     observed: Observed  # the set with its matches, before anything is left out
     links: Links  # the unmatched detections, linked
-    things: linking.Things  # what they are of
+    tracklets: linking.Tracklets  # what they are of
     kinds: linking.DurationTypes  # the mixture of lifetimes, in one row
     stretches: tuple[TimeSpan, ...]  # those marked as empty
     empty: Mask  # which images lie in them, (I,)
@@ -394,8 +394,8 @@ class ClassifiedDetections:
 
     def rates(self, resampling: Resampling, image_state: Indices, states: Sequence[str]) -> tuple[StateRates, ...]:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
-        weights = resampling.weights[:, self.things.first_image]
-        kinds = linking.kinds_of(self.things, weights, self.links.gap_s, self.least_s)
+        weights = resampling.weights[:, self.tracklets.first_image]
+        kinds = linking.kinds_of(self.tracklets, weights, self.links.gap_s, self.least_s)
         likely, perhaps = self.kinds.lasting[0] >= _LIKELY, self.kinds.at_least(_PERHAPS)
         duration = kinds.of_thing[self.links.link]
         weighing = Weighing(self.links.image, duration, self.tells, kinds.lasting, likely, perhaps, self.empty)
@@ -438,9 +438,9 @@ def classify_unmatched(
     check_stretches(stretches, images.time_s, counts)
     empty = in_stretches(stretches, images.time_s) & counts
     links = linking.link(observed)
-    things = linking.things_of(links, images)
-    kinds = linking.kinds_of(things, np.ones((1, len(things.detections))), links.gap_s, least_s)
-    return ClassifiedDetections(observed, links, things, kinds, stretches, empty, least_s)
+    tracklets = linking.tracklets_of(links, images)
+    kinds = linking.kinds_of(tracklets, np.ones((1, len(tracklets.detections))), links.gap_s, least_s)
+    return ClassifiedDetections(observed, links, tracklets, kinds, stretches, empty, least_s)
 
 
 def _free_share(observed: Observed) -> Array:

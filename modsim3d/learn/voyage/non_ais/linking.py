@@ -89,7 +89,7 @@ _AXES = np.array([0, 1, 0, 1])  # axis of the left, upper, right and lower side
 
 
 @dataclass(eq=False)
-class _Thing:
+class _Tracklet:
     number: int
     seen: int  # how often
     first_s: float
@@ -128,34 +128,37 @@ class _Thing:
 def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter) -> Indices:
     """Number one sequence's detections by what they are of, from 0, (n,). Times (n,) ascend; sides are left, upper,
     right, lower, (n, 4), `sure` unless cut off. A thing missed for longer than `longest_s` may be another one."""
-    numbers, things, count = np.full(len(time_s), -1), list[_Thing](), 0
+    numbers, tracklets, count = np.full(len(time_s), -1), list[_Tracklet](), 0
     for ours in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s)) + 1) if len(time_s) else []:
         now = float(time_s[ours[0]])
-        things = [thing for thing in things if not thing.lost(now, longest_s)]
+        tracklets = [tracklet for tracklet in tracklets if not tracklet.lost(now, longest_s)]
         free = np.arange(len(ours))
         for seen in (sure[ours], sure[ours] & ~_beside_others(sides[ours])):
-            waiting = [thing for thing in things if thing.last_s < now]
+            waiting = [tracklet for tracklet in tracklets if tracklet.last_s < now]
             taken = _assigned(waiting, now, sides[ours[free]], seen[free], jitter)
-            for place, thing in taken:
+            for place, tracklet in taken:
                 row = ours[free[place]]
-                numbers[row] = waiting[thing].number
-                waiting[thing].update(now, sides[row], seen[free[place]])
+                numbers[row] = waiting[tracklet].number
+                waiting[tracklet].update(now, sides[row], seen[free[place]])
             free = np.delete(free, [place for place, _ in taken])
             if not len(free):
                 break
         for row in ours[free].tolist():
             numbers[row] = count
-            things.append(_Thing(count, 1, now, now, sides[row].copy(), sure[row].copy(), np.zeros(2), np.ones(2)))
+            here = sides[row].copy(), sure[row].copy()
+            tracklets.append(_Tracklet(count, 1, now, now, *here, np.zeros(2), np.ones(2)))
             count += 1
     return numbers
 
 
-def _assigned(things: list[_Thing], now: float, measured: Array, sure: Mask, jitter: Jitter) -> list[tuple[int, int]]:
+def _assigned(
+    tracklets: list[_Tracklet], now: float, measured: Array, sure: Mask, jitter: Jitter
+) -> list[tuple[int, int]]:
     """Pairs of a detection and the thing that it is of, as places; measured and sure are (n, 4)."""
-    if not things:
+    if not tracklets:
         return []
-    expected, known = np.stack([each.expected(now) for each in things]), np.stack([each.known for each in things])
-    apart, told = np.array([(now - each.last_s, each.told.min()) for each in things]).T
+    expected, known = np.stack([each.expected(now) for each in tracklets]), np.stack([each.known for each in tracklets])
+    apart, told = np.array([(now - each.last_s, each.told.min()) for each in tracklets]).T
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
     side = np.sqrt(np.where(known[:, 0] & known[:, 2], width, np.maximum(width, _ASPECT * height)) * height)
     way = np.minimum(apart * _SPEED_SIDES_S, _MAX_WAY_SIDES) / np.sqrt(told)
@@ -316,7 +319,7 @@ class Behaviour(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Things:
+class Tracklets:
     """N linked things, as columns (N,)."""
 
     detections: Indices  # how often each was detected, (N,)
@@ -337,7 +340,7 @@ class Things:
         return np.isin(self.behaviour, (Behaviour.JUMPS, Behaviour.CHANGES_SIZE))
 
 
-def things_of(links: Links, images: Images) -> Things:
+def tracklets_of(links: Links, images: Images) -> Tracklets:
     """Durations and movements of the linked things."""
     count, order = links.count, np.lexsort((links.time_s, links.link))
     link = links.link[order]
@@ -352,12 +355,12 @@ def things_of(links: Links, images: Images) -> Things:
     with np.errstate(invalid="ignore"):
         cut = (ends - time_s[stops - 1] < links.longest_gap_s) | links.at_border[order][stops - 1]
     behaviour = np.zeros(count, dtype=np.int64)
-    for thing in np.flatnonzero(detections >= _MIN_SEEN).tolist():
-        rows = order[starts[thing] : stops[thing]]
+    for tracklet in np.flatnonzero(detections >= _MIN_SEEN).tolist():
+        rows = order[starts[tracklet] : stops[tracklet]]
         whole = rows[links.whole[rows]]
         rows = whole if len(whole) >= _MIN_SEEN else rows[:0]
-        behaviour[thing] = _behaviour(links, rows, detections[thing] / frames[thing]) if len(rows) else 0
-    return Things(detections, first_image, frames, lasted, cut, behaviour)
+        behaviour[tracklet] = _behaviour(links, rows, detections[tracklet] / frames[tracklet]) if len(rows) else 0
+    return Tracklets(detections, first_image, frames, lasted, cut, behaviour)
 
 
 def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
@@ -418,11 +421,11 @@ class DurationTypes:
         return (likely if self.found else self.longer) | self.unsteady
 
 
-def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = MIN_S) -> DurationTypes:
+def kinds_of(tracklets: Tracklets, weights: Array, gap_s: float, least_s: float = MIN_S) -> DurationTypes:
     """Fit the mixture to durations of N things with weights (rows, N), one in the first row. What does not move like a
     vessel is of no longer kind, however long it lasts. Given usual gaps between frames, and the least mean lifetime."""
-    perhaps = things.perhaps_vessel
-    keys = np.column_stack([things.frames, things.cut, perhaps, things.unsteady]).astype(np.int64)
+    perhaps = tracklets.perhaps_vessel
+    keys = np.column_stack([tracklets.frames, tracklets.cut, perhaps, tracklets.unsteady]).astype(np.int64)
     values, of_thing = np.unique(keys.reshape(-1, 4), axis=0, return_inverse=True)
     of_thing = of_thing.ravel()
     counts: Array = np.zeros((len(weights), len(values)))

@@ -97,7 +97,7 @@ def test_what_lasts_above_the_horizon_or_changes_its_size_counts_as_false():
     labelled = voyage(0, kayaks=2, frames=1000)
     boxes = labelled.results.boxes_px
     steady = classify_unmatched(observed(labelled))
-    of_vessel = steady.links.rows[steady.links.link == np.argmax(steady.things.detections)]
+    of_vessel = steady.links.rows[steady.links.link == np.argmax(steady.tracklets.detections)]
     middle, half = (boxes[of_vessel, 2:] + boxes[of_vessel, :2]) / 2, (boxes[of_vessel, 2:] - boxes[of_vessel, :2]) / 2
     half *= np.exp(0.25 * (-1.0) ** np.arange(len(of_vessel)))[:, None]
     boxes[of_vessel] = np.concatenate([middle - half, middle + half], axis=1)

@@ -7,7 +7,7 @@ import pytest
 
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.voyage.non_ais.classification import CrossingTracks, classify_unmatched, fainter
-from modsim3d.learn.voyage.non_ais.linking import STEADY, Behaviour, jitter_of, link, things_of
+from modsim3d.learn.voyage.non_ais.linking import STEADY, Behaviour, jitter_of, link, tracklets_of
 from modsim3d.learn.voyage.report import sentences
 from tests.formats.labelled_files import found, truth
 from tests.learn.voyage.non_ais.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
@@ -43,7 +43,7 @@ def test_what_nears_crosses_the_view_or_is_gone_no_longer_than_seen_is_one_thing
     seen = boxes[:, 2] - boxes[:, 0] > 1
     labelled = set_of_boxes(frame[seen], boxes[seen], frames=120)
     links = linked(labelled)
-    assert links.count == 1 and things_of(links, labelled.images).cut.tolist() == [True]
+    assert links.count == 1 and tracklets_of(links, labelled.images).cut.tolist() == [True]
 
 
 def upright(left, top, width, bottom):
@@ -105,7 +105,7 @@ def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_one
     ours = (links.places_px[:, 0] < 300) & (links.places_px[:, 1] < 250)
     of_silent = np.unique(links.link[ours])
     np.testing.assert_allclose(links.jitter.size_px, np.sqrt(2) * error_px, rtol=0.2)
-    assert len(of_silent) == 1 and things_of(links, labelled.images).perhaps_vessel[of_silent].all()
+    assert len(of_silent) == 1 and tracklets_of(links, labelled.images).perhaps_vessel[of_silent].all()
     steady = linked(replace(labelled, annotations=NOTHING))
     assert steady.jitter is STEADY
     pieces = len(np.unique(steady.link[(steady.places_px[:, 0] < 300) & (steady.places_px[:, 1] < 250)]))
@@ -123,7 +123,7 @@ def test_errors_of_large_known_vessels_do_not_link_small_clutter():
     boxes = np.concatenate([known + rng.normal(0, 15, known.shape), clutter])
     annotated = truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600))
     judged = classify_unmatched(observed(set_of_boxes(image, boxes, annotated, frames=600), Rule("centre")))
-    assert judged.links.jitter.place_px.min() > 10 and judged.things.lasted_s.max() <= 30
+    assert judged.links.jitter.place_px.min() > 10 and judged.tracklets.lasted_s.max() <= 30
     assert not judged.likely.any()
 
 
@@ -160,8 +160,8 @@ def test_what_lies_above_the_horizon_or_jumps_is_no_vessel():
     kinds = (-60, 0.0, "ABOVE_THE_HORIZON"), (60, 9.0, "JUMPS"), (60, 1.0, "LIKE_A_VESSEL")
     for below, jump, behaviour in kinds:
         labelled = set_of(frame, 400 + 2.0 * frame + jump * side, HORIZON_PX + below)
-        things = things_of(linked(labelled), labelled.images)
-        assert things.behaviour[np.argmax(things.detections)] == Behaviour[behaviour]
+        tracklets = tracklets_of(linked(labelled), labelled.images)
+        assert tracklets.behaviour[np.argmax(tracklets.detections)] == Behaviour[behaviour]
 
 
 FRAMES = 400
