@@ -280,9 +280,8 @@ def subtract_reference_error(
     errors = tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True))
     box_errors = replace(box_errors, states=errors, box_s=box_s, box_vessel_share=share)
     written = replace(learned, numbers=replace(learned.numbers, box_errors=box_errors))
-    return CorrectedDetector(
-        written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow
-    )
+    moved = len(np.unique(jacobians.vessel[jacobians.moved >= 0]))
+    return CorrectedDetector(written, tuple(states), noise, moved, slow)
 
 
 def _deconvolved_state(

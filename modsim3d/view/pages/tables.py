@@ -107,9 +107,7 @@ def scrolling(content: str) -> str:
 def aligned(column: Sequence[str]) -> list[str]:
     """The cells of a column with spaces of the width of digits, so that right-aligned points are below each other.
     Cells are aligned with those that have the same words between their numbers. A minus sign replaces the hyphen."""
-    cells = [
-        _NUMBER.sub(lambda found: found[0].replace("-", "−"), cell) if is_number(cell) else cell for cell in column
-    ]
+    cells = [_NUMBER.sub(lambda part: part[0].replace("-", "−"), cell) if is_number(cell) else cell for cell in column]
     groups: dict[str, list[int]] = {}
     for place, cell in enumerate(cells):
         if is_number(cell) and not any(found["power"] for found in _NUMBER.finditer(cell)):

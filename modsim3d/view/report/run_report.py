@@ -68,10 +68,7 @@ def report(
     images = None if pictures is None else as_path(pictures, "pictures")
     film = path.with_name(f"{path.stem}_images") if images is not None and images.is_file() else None
     folders = ({parts_folder(path): PART_FILES} if parts else {}) | ({film: FILM_FILES} if film else {})
-    with (
-        claimed([path], overwrite=overwrite, inputs=read),
-        claimed_folders(folders, overwrite=overwrite, inputs=read),
-    ):
+    with claimed([path], overwrite=overwrite, inputs=read), claimed_folders(folders, overwrite=overwrite, inputs=read):
         if images is not None and film is not None:
             images = film_frames(images, film, run)
         if second is not None:

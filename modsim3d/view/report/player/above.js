@@ -1,6 +1,6 @@
 // The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
 
-const VECTOR_S = 360, NM_M = 1852, TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
+const VECTOR_S = 360, NM_M = 1852, TRAIL_STEPS = 40, MIN_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 2.6;
 const RINGS = { nm: NM_M, cables: NM_M / 10 }, RINGS_ACROSS = 8, RING_EDGE_PX = 14, RADIUS_PX = 11, RADIUS_ROOM_PX = 32, SCALE_BAR_PX = 120;
 
 // The layers of the plan alone: range rings, of which one is shown at a time.
@@ -191,7 +191,7 @@ class Above {
   // A hull with a pointed bow, true to scale where that can be seen.
   vessel({ x, y, heading }, vessel, { dimensions, colours }, chosen) {
     const { context } = this, [atX, atY] = this.toCanvas(x, y), [length, beam] = dimensions[vessel];
-    const long = Math.max(length * this.scale, LEAST_VESSEL_PX), wide = Math.max(beam * this.scale, LEAST_VESSEL_PX / 2.5);
+    const long = Math.max(length * this.scale, MIN_VESSEL_PX), wide = Math.max(beam * this.scale, MIN_VESSEL_PX / 2.5);
     context.save();
     context.translate(atX, atY);
     context.rotate(-heading);

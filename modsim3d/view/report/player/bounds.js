@@ -1,13 +1,13 @@
 // How far a view of an image may zoom and move: from the whole image to a twentieth of it, and little beyond its edges.
 
-const MOST_ZOOM = 20, MARGIN = 0.1;
+const MAX_ZOOM = 20, MARGIN = 0.1;
 
 function clamped(value, least, most) { return Math.min(Math.max(value, least), most); }
 
 // A width in image pixels that a view may have.
 function widthWithin(wanted, aspect, [width, height]) {
   const whole = Math.max(width, height * aspect);
-  return clamped(wanted, whole / MOST_ZOOM, whole);
+  return clamped(wanted, whole / MAX_ZOOM, whole);
 }
 
 // The nearest view that stays with the image.

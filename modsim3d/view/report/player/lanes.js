@@ -1,6 +1,6 @@
 // A lane per track of one camera, on the time axis of the timeline: which vessel it follows, its gaps, its switches.
 
-const LANE_PX = 13, LEAST_PX = 3, MARK_PX = 4;
+const LANE_PX = 13, MIN_PX = 3, MARK_PX = 4;
 
 class Lanes extends LanePanel {
   constructor(panel, recording, timeline) {
@@ -35,7 +35,7 @@ class Lanes extends LanePanel {
     const { context, timeline, recording } = this, { facts } = recording, high = LANE_PX - 4;
     timeline.text(context, this.title(lane), 0, top + LANE_PX / 2, timeline.left - 6);
     for (const { from, to, vessel, pale } of lane.stretches.filter((each) => timeline.shows(each.from, each.to))) {
-      const left = timeline.x(from), wide = Math.max(timeline.x(to) - left, LEAST_PX);
+      const left = timeline.x(from), wide = Math.max(timeline.x(to) - left, MIN_PX);
       context.fillStyle = trackColour(vessel, facts);
       context.globalAlpha = pale ? 0.4 : 1;
       context.fillRect(left, top + 1, wide, vessel === null ? high / 2 : high);

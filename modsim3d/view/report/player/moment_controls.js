@@ -1,6 +1,6 @@
 // The row of controls that steps from one moment of a kind to the next.
 
-const MOST_LISTED = 1000;
+const MAX_LISTED = 1000;
 
 class MomentControls {
   constructor(player) {
@@ -25,9 +25,9 @@ class MomentControls {
     const { camera } = this.player;
     this.kind = kind;
     $('kind').value = kind;
-    const list = this.moments.look(camera, kind), shown = list.slice(0, MOST_LISTED);
+    const list = this.moments.look(camera, kind), shown = list.slice(0, MAX_LISTED);
     const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
-    const more = list.length > MOST_LISTED ? ` (the first ${MOST_LISTED})` : '';
+    const more = list.length > MAX_LISTED ? ` (the first ${MAX_LISTED})` : '';
     $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);
     for (const [button, which] of [['previous', 'Previous'], ['next', 'Next']]) {
       const text = `${which} ${kindOf(kind).one}`, [element] = document.querySelectorAll(`[data-do=${button}]`);

@@ -1,7 +1,7 @@
 // Playing the run: one step after the other by the clock, at the chosen speed.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 20, 50];
-const MOST_HELD_S = 1; // before what repeats begins again
+const MAX_HELD_S = 1; // before what repeats begins again
 
 class Playback {
   constructor(player) {
@@ -46,7 +46,7 @@ class Playback {
   }
 
   // For how much of the run's time the last frame of what repeats stays: for as long as the one before it.
-  held(last) { return Math.min((this.times[last] - this.times[last - 1]) || 0, MOST_HELD_S * this.speed); }
+  held(last) { return Math.min((this.times[last] - this.times[last - 1]) || 0, MAX_HELD_S * this.speed); }
 
   setSpeed(speed) {
     this.speed = speed;

@@ -2,8 +2,8 @@
 // are needed. Its other side is recording/recorder.py.
 
 const UNKNOWN_FRACTION = 255, WHOLE = 250, STILL = 2 ** 31;
-const MOST_PARTS = 8; // unpacked at once
-const MOST_IMAGES = 64; // the user's pictures that are kept
+const MAX_PARTS = 8; // unpacked at once
+const MAX_IMAGES = 64; // the user's pictures that are kept
 const AROUND = 20; // steps before and after a frame that are made ready with it
 
 async function openRecording(name) {
@@ -63,7 +63,7 @@ class Recording {
       image.addEventListener('load', () => loaded());
       image.src = file;
       this.images.set(file, image);
-      if (this.images.size > MOST_IMAGES) this.images.delete(this.images.keys().next().value);
+      if (this.images.size > MAX_IMAGES) this.images.delete(this.images.keys().next().value);
     }
     return image.complete && image.naturalWidth ? image : null;
   }
@@ -86,7 +86,7 @@ class Recording {
 
   forget() {
     const unpacked = [...this.parts].filter(([, part]) => part instanceof Part);
-    for (const [number] of unpacked.slice(0, -MOST_PARTS)) this.parts.delete(number);
+    for (const [number] of unpacked.slice(0, -MAX_PARTS)) this.parts.delete(number);
   }
 
   // ---- the whole run

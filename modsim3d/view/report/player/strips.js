@@ -2,7 +2,7 @@
 // out from a vessel's colour.
 
 // Of a strip's height in pixels: above, what is seen; below it, what went wrong; on top, if the detector has several classes, wrong ones.
-const SEEN_PX = 9, MARK_ROW_PX = 5, LEAST_MARK_PX = 2, STRIPE_PX = 2, CLASS_PX = 3, STRIP_GAP_PX = 1, ROW_GAP_PX = 3;
+const SEEN_PX = 9, MARK_ROW_PX = 5, MIN_MARK_PX = 2, STRIPE_PX = 2, CLASS_PX = 3, STRIP_GAP_PX = 1, ROW_GAP_PX = 3;
 
 function stripHeight(withClasses) {
   return seenTopOf(withClasses) + SEEN_PX + STRIP_GAP_PX + MARK_ROW_PX + ROW_GAP_PX;
@@ -25,7 +25,7 @@ function paintStrip(context, columns, end, top, colour, withClasses) {
     ['bad', (high) => high / 2, true], ['off', (high) => high, true], ['missed', (high) => high, false],
   ];
   for (const [kind, part, striped] of marks) {
-    const high = ({ [kind]: count, seen }) => (count ? Math.max(LEAST_MARK_PX, Math.round(part((MARK_ROW_PX * count) / seen))) : 0);
+    const high = ({ [kind]: count, seen }) => (count ? Math.max(MIN_MARK_PX, Math.round(part((MARK_ROW_PX * count) / seen))) : 0);
     runs(columns, end, high, (tall, from, to) => {
       for (const [x, wide] of striped ? stripes(from, to) : [[from, to - from]]) rect(alarm, x, markTop + MARK_ROW_PX - tall, wide, tall);
     });

@@ -1,7 +1,7 @@
 // The timeline of one camera: performance state, counts of what went wrong, visible fraction of each vessel.
 
-const LEAST_STEPS = 20; // that the timeline shows
-const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS = 18.5, FEWER_ROWS = 12.5, NAME_LEFT_PX = 8;
+const MIN_STEPS = 20; // that the timeline shows
+const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MAX_ROWS = 18.5, FEWER_ROWS = 12.5, NAME_LEFT_PX = 8;
 const BARS = [['missed', 'missed'], ['false', 'false'], ['mislabelled', 'wrong class'], ['bad', 'IoU < 0.5'], ['off', 'off vessel']];
 
 class Timeline {
@@ -30,7 +30,7 @@ class Timeline {
     this.withClasses = this.kinds.some(([kind]) => kind === 'mislabelled');
     this.rowPx = stripHeight(this.withClasses);
     this.rowsTop = STATE_PX + this.kinds.length * (BARS_PX + GAP_PX) + 2 * GAP_PX;
-    this.rowsPx = Math.min(this.vessels.length, width < NARROW_PX ? FEWER_ROWS : MOST_ROWS) * this.rowPx; // in sight
+    this.rowsPx = Math.min(this.vessels.length, width < NARROW_PX ? FEWER_ROWS : MAX_ROWS) * this.rowPx; // in sight
     this.height = this.rowsTop + this.rowsPx + AXIS_PX;
     const ratio = this.ratio = window.devicePixelRatio || 1;
     for (const canvas of [this.canvas, this.still]) {
@@ -154,7 +154,7 @@ class Timeline {
   // Zoom around a step, which stays where it is; 0 shows all.
   zoom(factor, index) {
     const { length } = this.recording, before = this.to - this.from;
-    const span = Math.round(clamped(factor ? before / factor : length, Math.min(LEAST_STEPS, length), length));
+    const span = Math.round(clamped(factor ? before / factor : length, Math.min(MIN_STEPS, length), length));
     this.look(Math.round(index - ((index - this.from) * span) / before), span);
   }
 
