@@ -166,9 +166,9 @@ class Purpose(Enum):
         None,
         "scale of a second box's error in place of a rejected one",
     )
-    CLUTTER_TRIAL = "detector.clutter_trial", 1, "success of each of the thesis's trials (camera, ordinal)"
-    CLUTTER_COUNT = "detector.clutter_count", 1, "number of transient false positives (camera)"
-    CLUTTER = "detector.clutter", 5, "place, size and label of a transient false positive (camera, ordinal)"
+    TRANSIENT_TRIAL = "detector.clutter_trial", 1, "success of each of the thesis's trials (camera, ordinal)"
+    TRANSIENT_COUNT = "detector.clutter_count", 1, "number of transient false positives (camera)"
+    TRANSIENT = "detector.clutter", 5, "place, size and label of a transient false positive (camera, ordinal)"
     PERSISTENT_BIRTHS = "detector.wanderer_births", 1, "number of births of persistent false positives (camera, layer)"
     PERSISTENT = "detector.wanderer", 8, "life of a persistent false positive (camera, layer, ordinal)"
     ON_VESSEL = "detector.on_vessel", 5, "whether a false positive lies on a vessel, and where (camera, vessel)"
@@ -180,7 +180,7 @@ class Purpose(Enum):
     CONFIDENCE = "detector.confidence", 2, "confidence and order of a vessel's detection (camera, vessel)"
     DUPLICATE_CONFIDENCE = "detector.duplicate_confidence", 2, "the same of a second box (camera, vessel)"
     FRAGMENT_CONFIDENCE = "detector.fragment_confidence", 2, "the same of the smaller part of a split box"
-    CLUTTER_CONFIDENCE = "detector.clutter_confidence", 2, "the same of a transient false positive (camera, ordinal)"
+    TRANSIENT_CONFIDENCE = "detector.clutter_confidence", 2, "the same of a transient false positive (camera, ordinal)"
     PERSISTENT_CONFIDENCE = "detector.persistent_confidence", 2, "the same of a persistent one (camera, ordinal)"
 
     __hash__ = object.__hash__  # an `Enum` hashes its name in Python, and every number is looked up by its purpose

@@ -213,7 +213,7 @@ class Detector:
         counts = false_positives.FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
         around = false_positives.Surroundings(self._streams, frames, counts, vessels)
         source = self._false_positive_source
-        drawn = [(records.FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE, source.draw_transient(around))]
+        drawn = [(records.FALSE_POSITIVE, Purpose.TRANSIENT_CONFIDENCE, source.draw_transient(around))]
         if self.model.false_positives.persistent_share:
             drawn.append((records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE, source.draw_persistent(around)))
         return [

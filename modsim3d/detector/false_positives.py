@@ -64,7 +64,7 @@ class FalsePositiveModel(ABC):
         self, streams: Streams, seen: CameraFrames, rates: FalsePositiveRates, frames: FrameCounts, share: float
     ) -> Indices:
         """Number of transient ones in each frame, given their share of all, shape (S,)."""
-        purpose, camera = Purpose.CLUTTER_COUNT, seen.camera
+        purpose, camera = Purpose.TRANSIENT_COUNT, seen.camera
         uniforms = step_uniforms(streams, purpose, camera, steps=seen.steps)
         return poisson_quantile(uniforms[:, 0], share * self.means(rates, frames))
 
@@ -115,7 +115,7 @@ class Thesis(FalsePositiveModel):
         """Successes among the trials of each frame, shape (S,); none of them persists."""
         rate = rates.false_discovery[frames.states]
         frame, ordinal = numbered_rows(self._trials(rates, frames))
-        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER_TRIAL, seen, frame, ordinal)
+        uniforms = ordinal_uniforms(streams, Purpose.TRANSIENT_TRIAL, seen, frame, ordinal)
         return np.bincount(frame[uniforms[:, 0] < rate[frame]], minlength=len(rate)).astype(np.int64)
 
     @staticmethod
@@ -363,7 +363,7 @@ class FalsePositiveSource:
         frame, ordinal = numbered_rows(self.options.numbers.draw(streams, frames, self.rates, around.counts, share))
         if not len(frame):  # most frames have none, and a live step is one frame
             return FalsePositives(frame, ordinal, np.empty((0, 4)), np.empty(0, dtype=np.int64))
-        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER, frames, frame, ordinal)
+        uniforms = ordinal_uniforms(streams, Purpose.TRANSIENT, frames, frame, ordinal)
         return self._of_draws(around, frame, ordinal, uniforms, None)
 
     def draw_persistent(self, around: Surroundings) -> FalsePositives:

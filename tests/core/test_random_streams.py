@@ -75,8 +75,8 @@ def test_a_step_has_the_same_numbers_in_parts_and_among_others(borders: list[int
 
 def test_a_row_starts_at_its_steps_blocks_of_philox_and_no_rows_or_steps_give_no_numbers():
     streams = Streams(3)
-    numbers = streams.uniforms(Purpose.CLUTTER, "C0", first=7, count=2)
-    key = streams._key(0, Purpose.CLUTTER, ("C0",))
+    numbers = streams.uniforms(Purpose.TRANSIENT, "C0", first=7, count=2)
+    key = streams._key(0, Purpose.TRANSIENT, ("C0",))
     slow = [np.random.Generator(np.random.Philox(key=key, counter=2 * step)).random(5) for step in (7, 8)]
     assert np.array_equal(numbers, slow)
     nothing, no_words = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)
@@ -105,7 +105,7 @@ def test_another_seed_purpose_or_name_gives_other_numbers_and_generators_are_rep
     [(1, 7, False), (3, 9, False), (3, 50_000, True), (200, 2, True)],
     ids=["one", "few", "few far apart", "many"],
 )
-@pytest.mark.parametrize("purpose", [Purpose.CLASS, Purpose.CLUTTER], ids=["a block a step", "two blocks a step"])
+@pytest.mark.parametrize("purpose", [Purpose.CLASS, Purpose.TRANSIENT], ids=["a block a step", "two blocks a step"])
 def test_numbers_of_many_streams_are_those_of_each(owners: int, span: int, at_once, purpose, monkeypatch) -> None:
     random, names = np.random.default_rng(owners), [f"vessel{index}" for index in range(owners)]
     owner, steps = random.integers(0, owners, 2 * owners + 5), 2**40 + random.integers(0, span, 2 * owners + 5)
