@@ -50,7 +50,7 @@ class Tracked(NamedTuple):
     covariance_px2: Sequence[Sequence[float]] = ((np.nan, np.nan), (np.nan, np.nan))
 
 
-def hand_made(truth: Iterable[tuple], tracks: Iterable[tuple], steps: int, *, rules=None, cameras=1, **keys) -> ScoredRun:
+def hand_made(truth: Iterable[tuple], tracks: Iterable[tuple], steps, *, rules=None, cameras=1, **keys) -> ScoredRun:
     """Tracks, as for `Tracked`, held against truth, as for `Seen`; keys as those of `rows_of`."""
     return ScoredRun.of(rows_of(truth, steps, cameras=cameras, **keys), tracks_of(tracks, cameras), rules or Rules())
 
