@@ -74,12 +74,14 @@ class Map:
             self._marks.append(plan_marks.WorldTrackMarks(self.sheet))
         map_marks.draw_obstacles(self.sheet)
         handles = [self._in_key(artist) for artist in axes.get_legend_handles_labels()[0]]
-        below = {"loc": "outside lower center", "ncols": 5 if birds_eye.estimates is None else 4}
-        place = {"loc": "outside right upper"} if is_high(birds_eye) else below
-        self.figure.legend(handles=handles, fontsize=8, frameon=False, **place)
+        columns, place = (1, "outside right upper") if is_high(birds_eye) else (5, "outside lower center")
+        look: dict[str, Any] = {"handles": handles, "loc": place, "fontsize": 8, "frameon": False}
+        while (key := self.figure.legend(ncols=columns, **look)).get_window_extent().width > width_px and columns > 1:
+            key.remove()
+            columns -= 1
         layout = self.figure.get_layout_engine()
         assert layout is not None
-        for _ in range(2):  # the places of axes and legend are found from each other's
+        for _ in range(3):  # the places of axes and legend are found from each other's
             layout.execute(self.figure)
             axes.apply_aspect()
         self.figure.set_layout_engine("none")

@@ -276,7 +276,7 @@ def test_tracks_in_the_world_lie_where_they_are_in_the_colour_of_the_vessel_that
     tracks = WorldTracks.of("t", track, ("A7", "B"), np.tile(times_s, 2), at_m, velocity_m_s, covariance)
     figure = map_figure(BirdsEye(scene, steps, (0,), PLAN, tracks), 5, 900)
     axes, (left, _, right, _) = figure.axes[0], extent(figure.legends[0]).bounds
-    assert 0 <= left < right <= 900
+    assert 0 <= left < right <= 900 and extent(axes.title).bounds[3] < figure.bbox.height
     lines = dict(zip(axes.get_legend_handles_labels()[1], axes.get_legend_handles_labels()[0], strict=True))
     crosses = lines["track in the world"]
     colours = [palette.unit_rgb(palette.vessel_colour(0)), palette.unit_rgb(palette.ALARM)]
