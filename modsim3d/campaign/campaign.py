@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from modsim3d.campaign.done_rows import NeededSeeds, needed_seeds, parsed_expectation, results_table
 from modsim3d.campaign.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.keys import read_campaign
-from modsim3d.campaign.means import MeanRow, mean_rows, mean_table, usual_keys, usual_scores
+from modsim3d.campaign.means import MeanRow, mean_rows, mean_table, usual_keys, usual_scores, with_required
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.search import SearchResult, run_search
@@ -131,7 +131,8 @@ class Campaign(Result):
         """The mean scores of each tracker in each condition, the verdicts, and the outcome."""
         title = f"Campaign {self.folder}: {self.conclusion}; means [95 % interval over traffic seeds]"
         verdicts = Items([f"{each.tracker}: {each.text}: {each.outcome}" for each in self.verdicts])
-        means = mean_table(self.means(), title, where=Where.EVERYWHERE)
+        rows = with_required(self._opened.plan, self.means(), self.verdicts)
+        means = mean_table(rows, title, where=Where.EVERYWHERE)
         return Document(title, [Text(self.conclusion, "lead")], [means, verdicts])
 
     @property

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import isnan, nan
+from math import isclose, isnan, nan
 from typing import Any
 
 import pyarrow as pa
@@ -156,19 +156,44 @@ def mean_table(
     return Table(title, header, cells, {place for place, row in enumerate(rows) if row.crashed}, where=where)
 
 
-def without_judged(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
-    """Means without the intervals of those that have a verdict, which stand with it."""
-    said = []
+REQUIRED = "Intervals of means that are required are those of the requirements."
+
+
+def required_means(plan: Plan, verdicts: Sequence[Verdict]) -> list[tuple[str, Verdict]]:
+    """The verdicts on means, each with the column of its score."""
+    found = []
     for each in verdicts:
-        requirement, values = plan.keys.require[each.requirement], {**each.values, TRACKER: each.tracker}
-        part = [f"{key}.{values.pop(key)}." for key in groups_of(plan, requirement)]
+        requirement = plan.keys.require[each.requirement]
         if requirement.share is None:
-            said.append(("".join([*part, requirement.score]), values))
+            part = [f"{key}.{each.values[key]}." for key in groups_of(plan, requirement)]
+            found.append(("".join([*part, requirement.score]), each))
+    return found
 
-    def without(row: MeanRow, score: str) -> Mean:
-        return replace(row.means[score], low=None, high=None) if (score, row.values) in said else row.means[score]
 
-    return [replace(row, means={score: without(row, score) for score in row.means}) for row in rows]
+def with_required(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
+    """Means with the intervals of their requirements in place of Student's: a mean has one interval."""
+    groups = {place: groups_of(plan, requirement) for place, requirement in enumerate(plan.keys.require)}
+    said = [
+        (column, {key: value for key, value in each.values.items() if key not in groups[each.requirement]}, each)
+        for column, each in required_means(plan, verdicts)
+    ]
+
+    def interval(row: MeanRow, score: str) -> Mean:
+        mean = row.means[score]
+        for column, values, verdict in said:
+            if column == score and {**values, TRACKER: verdict.tracker} == row.values:
+                low, high = interval_of(verdict, mean.value)
+                return replace(mean, low=low, high=high)
+        return mean
+
+    return [replace(row, means={score: interval(row, score) for score in row.means}) for row in rows]
+
+
+def interval_of(verdict: Verdict, mean: float | None) -> tuple[float | None, float | None]:
+    """The interval of a verdict, if it is on this mean and not on one that counts crashed runs too."""
+    if mean is None or verdict.estimate is None or not isclose(mean, verdict.estimate):
+        return None, None
+    return verdict.low, verdict.high
 
 
 def _mean_text(mean: Mean, most: int) -> str:

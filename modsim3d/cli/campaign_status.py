@@ -113,10 +113,12 @@ def campaign_table_command(
 
     Example: modsim3d campaign table runs/example --by state --score hota
     """
-    from modsim3d.campaign.campaign import rows_of
+    from modsim3d.campaign.campaign import complete_batches, rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
-    from modsim3d.campaign.means import mean_rows, mean_table, usual_keys, usual_scores
+    from modsim3d.campaign.means import REQUIRED, mean_rows, mean_table, usual_keys, usual_scores, with_required
+    from modsim3d.campaign.verdicts.verdict import judged
     from modsim3d.campaign.verdicts.wording import score_name
+    from modsim3d.core.document import Text
     from modsim3d.io.overwrite_guard import claimed
 
     runs = RUN in (by or ())
@@ -136,7 +138,9 @@ def campaign_table_command(
         if out is not None:
             _write(out, table if runs else flat_table(rows))
     if not runs:
-        print_blocks(open_console(), [mean_table(rows, names=score_name)])
+        verdicts = judged(opened.plan, table if opened.finished else complete_batches(opened.plan, table))
+        shown = with_required(opened.plan, rows, verdicts)
+        print_blocks(open_console(), [mean_table(shown, names=score_name), Text(REQUIRED * (shown != rows), "soft")])
     shared.print_written(open_console(), paths)
     say_json(
         {

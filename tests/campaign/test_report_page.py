@@ -11,13 +11,21 @@ from scipy import stats
 from modsim3d.campaign.done_rows import with_plan
 from modsim3d.campaign.folder import CampaignFolder, files_of_campaign
 from modsim3d.campaign.keys import CampaignKeys, SearchKeys
+from modsim3d.campaign.means import mean_rows, with_required
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
-from modsim3d.campaign.report.parameter_charts import BINS, by_level, over_seeds, parameters_of, seed_cells
+from modsim3d.campaign.report.parameter_charts import (
+    BINS,
+    _with_required,
+    by_level,
+    over_seeds,
+    parameters_of,
+    seed_cells,
+)
 from modsim3d.campaign.report.parameter_charts import parameter_sections as sections
 from modsim3d.campaign.report.search_page import report_campaign, search_page
 from modsim3d.campaign.report.words import Score, constant, required_scores, requirement_sections, verdict_sentence
-from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.verdicts.verdict import Verdict, judged
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.core.text import three_digits_with_interval
 from modsim3d.view.pages import tables
@@ -152,6 +160,19 @@ def test_a_mean_and_its_interval_are_over_traffic_seeds_and_one_value_gives_no_i
     for values in ([0.4], [0.7, 0.7, 0.7], []):
         found = over_seeds(np.array(values, dtype=float)[:, None])
         assert np.isnan([found.low[0], found.high[0]]).all(), values
+
+
+def test_a_mean_that_is_required_has_the_interval_of_its_requirement_in_table_and_chart():
+    plan = plan_of(5, [{"grid": {"state": ["clear", "haze"]}}], [{"score": "hota", "at_least": 0.4}])
+    table, trackers = table_for(plan), ("sort", "bytetrack")
+    verdicts, (state,) = judged(plan, table), parameters_of(plan, table)
+    chart = _with_required(by_level(seed_cells(plan, table, "hota"), state.index, 2), state, trackers, verdicts)
+    rows = with_required(plan, mean_rows(table, ["state"], ["hota"]), verdicts)
+    assert len(verdicts) == 4 and all(each.high is not None for each in verdicts)
+    for each in verdicts:
+        place = each.condition, trackers.index(each.tracker)
+        (row,) = (row.means["hota"] for row in rows if row.values == {**each.values, "tracker": each.tracker})
+        assert (chart.low[place], chart.high[place]) == (row.low, row.high) == (each.low, each.high)
 
 
 def test_a_crashed_run_is_in_no_mean_and_is_counted_and_means_of_a_sequential_campaign_prove_nothing():

@@ -98,8 +98,8 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
         rows = [row for row in rows if any(row is each for each in worst)]
         remark = f" The {MAX_ROWS} rows of {count:,} with the worst {score.name} are shown; "
         remark += "modsim3d campaign table has all."
-    shown = means.without_judged(plan, rows, verdicts)
-    remark += " Intervals of means that are required are those of the requirements, above." * (shown != rows)
+    shown = means.with_required(plan, rows, verdicts)
+    remark += f" {means.REQUIRED}" * (shown != rows)
     stopped = (  # stopping changes intervals for a number of seeds fixed beforehand
         " This campaign ended when its requirements were decided, so these intervals describe and prove nothing: those "
         "of the requirements hold however often they are looked at."
@@ -281,7 +281,7 @@ def campaign_page(
             *requirement_blocks(plan, verdicts),
             *(lookout_sections(plan, table) if len(table) and plan.keys.lookout else ()),
             *(compared_blocks(folder, table, verdicts) if len(table) else ()),
-            *(parameter_sections(plan, table) if len(table) else ()),
+            *(parameter_sections(plan, table, verdicts) if len(table) else ()),
             *worst_sections(folder, table, verdicts, advance),
             *(coverage_sections(folder, table) if len(table) else ()),
             *(trace_sections(folder, table, verdicts) if len(table) else ()),

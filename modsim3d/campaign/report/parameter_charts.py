@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations, pairwise
 from typing import Any
@@ -12,10 +12,11 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.campaign.keys import Range
-from modsim3d.campaign.means import LEVEL
+from modsim3d.campaign.means import LEVEL, REQUIRED, interval_of, required_means
 from modsim3d.campaign.plan import Plan, are_numbers, text_of, value_of
 from modsim3d.campaign.report.words import Score, axis_of, required_scores
 from modsim3d.campaign.verdicts.seed_values import mean_of
+from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.document import Beside, Block, Cell, Figure, Heading, Row, Table, Text
 from modsim3d.core.statistics import half_widths
@@ -154,19 +155,22 @@ MAX_DOTS = 400  # of a tracker in a chart
 MIN_SEEDS = 3  # a mean of drawn numbers rests on at least so many seeds
 
 
-def parameter_sections(plan: Plan, table: pa.Table) -> list[Block]:
+def parameter_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ()) -> list[Block]:
     """Charts of each required score against each parameter, and heat maps of the first score."""
     parameters, scores = parameters_of(plan, table), required_scores(plan)[:MAX_SCORES]
     trackers = [each.label for each in plan.keys.trackers][:MAX_SHOWN_TRACKERS]
     if not parameters or not len(table):
         return []
     cells = {score.column: seed_cells(plan, table, score.column)[:, :, : len(trackers)] for score in scores}
+    required = required_means(plan, verdicts)
     caption = (
         f"Mean over traffic seeds with its {100 * LEVEL:g} % interval by Student's t; the value of a seed is the mean "
-        "over all its runs at that level, whatever else is varied."
+        "over all its runs at that level, whatever else is varied." + f" {REQUIRED}" * bool(required)
     )
     charts_of = [
-        Figure(partial(_charts, parameter, scores, cells, trackers), _remark(parameter, plan, parameters, scores))
+        Figure(
+            partial(_charts, parameter, scores, cells, trackers, required), _remark(parameter, plan, parameters, scores)
+        )
         for parameter in parameters[:MAX_PARAMETERS]
     ]
     rest = ", ".join(each.key for each in parameters[MAX_PARAMETERS:])
@@ -180,8 +184,32 @@ def parameter_sections(plan: Plan, table: pa.Table) -> list[Block]:
     ]
 
 
-def _charts(parameter: VariedKey, scores: Sequence[Score], cells: Mapping[str, Array], trackers: Sequence[str]) -> str:
-    return "".join(_chart(parameter, score, cells[score.column], trackers) for score in scores)
+def _charts(
+    parameter: VariedKey,
+    scores: Sequence[Score],
+    cells: Mapping[str, Array],
+    trackers: Sequence[str],
+    required: Sequence[tuple[str, Verdict]],
+) -> str:
+    def of_score(column: str) -> list[Verdict]:
+        return [verdict for of, verdict in required if of == column]
+
+    return "".join(_chart(parameter, each, cells[each.column], trackers, of_score(each.column)) for each in scores)
+
+
+def _with_required(
+    found: MeanGrid, parameter: VariedKey, trackers: Sequence[str], required: Sequence[Verdict]
+) -> MeanGrid:
+    """Means with the intervals of their requirements, where a level is one condition, the same for all seeds."""
+    low, high, index = found.low.copy(), found.high.copy(), parameter.index
+    for each in required:
+        level = index[0, each.condition]
+        alone = level >= 0 and (index[:, each.condition] == level).all() and (index == level).sum() == len(index)
+        if alone and each.tracker in trackers:
+            place = level, trackers.index(each.tracker)
+            ends = interval_of(each, float(found.mean[place]))
+            low[place], high[place] = (np.nan if end is None else end for end in ends)
+    return replace(found, low=low, high=high)
 
 
 def tied(first: VariedKey, second: VariedKey) -> bool:
@@ -203,8 +231,11 @@ def _remark(parameter: VariedKey, plan: Plan, parameters: Sequence[VariedKey], s
     return said
 
 
-def _chart(parameter: VariedKey, score: Score, cells: Array, trackers: Sequence[str]) -> str:
+def _chart(
+    parameter: VariedKey, score: Score, cells: Array, trackers: Sequence[str], required: Sequence[Verdict]
+) -> str:
     found = by_level(cells, parameter.index, len(parameter.levels))
+    found = _with_required(found, parameter, trackers, required)
     title = f"{score.name} by {parameter.key}"
     if parameter.places is None:
         return forest(_rows(parameter, found), title, score.label, score.thresholds)
