@@ -18,9 +18,11 @@ from modsim3d.tracking.oracle import REFERENCES
 from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
+from modsim3d.tracking.scores.scored_run import ScoredRun
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.tracking.world.collision import CpaErrors, MetVessel, PredictedApproaches
-from modsim3d.tracking.worst_film import ABOUT, moment_pictures
+from modsim3d.tracking.worst_film import ABOUT, Story, moment_pictures
+from modsim3d.tracking.worst_moment import worst_moment_s
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
 
@@ -143,10 +145,10 @@ def _worst_moment(scores: score_outcome.ScoredTracks, tracker: score_outcome.Tra
     if rules.cameras:
         names = [camera.name for camera in scores.run.scene.cameras]
         rows = rows.in_cameras(tuple(map(names.index, rules.cameras)))
-    pictures = moment_pictures(rows, tracker.track_set.tracks, None, rules)
-    return (
-        page.images(pictures, f"{tracker.name}: before and after", "jpeg", quality=82) or "<p>Nothing went wrong.</p>"
-    )
+    scored = ScoredRun.of(rows, tracker.track_set.tracks, rules)
+    if (at_s := worst_moment_s(scored)) is None:
+        return "<p>Nothing went wrong.</p>"
+    return page.images(moment_pictures(Story.of(scored, at_s)), f"{tracker.name}: before and after", "jpeg", quality=82)
 
 
 def _provenance(scores: score_outcome.ScoredTracks, command: str | None) -> Provenance:

@@ -23,9 +23,9 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.selection import StepFrames, select
 from modsim3d.runs.stored_run import open_run
 from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
-from modsim3d.tracking.worst_moment import worst_mistake, worst_moment_s
+from modsim3d.tracking.worst_moment import worst_mistake
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.tracks import Tracks, TrackSet
+from modsim3d.tracks.tracks import TrackSet
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -48,11 +48,13 @@ class Story:
     seen: Mask  # whether other things do not hide all of the vessel, shape (n,)
 
     @classmethod
-    def of(cls, scored: ScoredRun, moment_s: float) -> Story:
-        """The worst mistake at a moment, with what comes before and after."""
+    def of(cls, scored: ScoredRun, moment_s: float, row: int = NOBODY) -> Story:
+        """The worst mistake at a moment, or the one in a row of `row_to_show`, with what comes before and after."""
         worst, following = worst_mistake(scored, moment_s), scored.following
-        truth, tracks, lost = following.truth, following.tracks, int(worst.frame[0])
-        vessel, track = int(worst.vessel[0]), int(worst.track[0])
+        truth, tracks = following.truth, following.tracks
+        lost, vessel, track = int(worst.frame[0]), int(worst.vessel[0]), int(worst.track[0])
+        if row != NOBODY:
+            lost, vessel, track = int(truth.frame[row]), int(truth.vessel[row]), NOBODY
         mine, number, is_mine, paired, partners = (
             (truth, vessel, truth.vessel, following.track_row, tracks.track)
             if track == NOBODY
@@ -66,8 +68,9 @@ class Story:
 
     @property
     def before(self) -> int:
-        """The last frame in which it is seen with a partner before it went wrong, or else the first in which it is."""
-        paired = np.flatnonzero(self.seen & (self.frame < self.lost) & (self.partner != NOBODY))
+        """The last frame in which it is seen with another partner before it went wrong, or the first in which it is."""
+        others = (self.partner != NOBODY) & (self.partner != self.partner[self.frame == self.lost])
+        paired = np.flatnonzero(self.seen & (self.frame < self.lost) & others)
         return int(self.frame[paired[-1] if len(paired) else np.flatnonzero(self.seen)[0]])
 
     def caption(self, frame: int) -> str:
@@ -101,22 +104,14 @@ LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")  # wh
 ABOUT = "White: the true box. With a number: the track, dashed in orange on nothing. Orange corners: no track."
 
 
-def moment_pictures(rows: RunRows, tracks: Tracks, moment_s: float | None, rules: Rules | None = None) -> list[Image]:
-    """Pictures of what a tracker lost at a moment, before and after, `WIDTH_PX` wide; one where nothing was before.
-    The moment is that of `worst_moment_s` if None, and a run without mistakes has no pictures then. `rules` scored the
-    tracks, the usual ones if None."""
+def moment_pictures(story: Story) -> list[Image]:
+    """Pictures of what a tracker lost, before and after, `WIDTH_PX` wide; one where nothing was before."""
     from modsim3d.view.films.renderer import open_film_renderer
 
-    scored = ScoredRun.of(rows, tracks, rules or Rules())
-    moment_s = worst_moment_s(scored) if moment_s is None else moment_s
-    if moment_s is None:
-        return []
-    story = Story.of(scored, moment_s)
     frames = list(dict.fromkeys((story.before, story.lost)))
-    plan = _plan(story, frames, TrackSet("the tracker", tracks, None))
-    style = replace(plan.style, enlarged=ENLARGED)
-    plan = replace(plan, width=WIDTH_PX, enlarged=ENLARGED, style=style, key=False)
-    with open_film_renderer(rows.scene, plan) as renderer:
+    plan = _plan(story, frames, TrackSet("the tracker", story.scored.following.tracks, None))
+    plan = replace(plan, width=WIDTH_PX, enlarged=ENLARGED, style=replace(plan.style, enlarged=ENLARGED), key=False)
+    with open_film_renderer(story.scored.rows.scene, plan) as renderer:
         return [renderer.draw(_shown(story, each)) for each in frames]
 
 
@@ -125,8 +120,7 @@ def _plan(story: Story, frames: Sequence[int], track_set: TrackSet) -> FilmPlan:
     from modsim3d.view.followed_tracks import FollowedTracks
     from modsim3d.view.pictures.layers import Layers
 
-    style, shaded = best_style()
-    scored = story.scored
+    (style, shaded), scored = best_style(), story.scored
     return FilmPlan(
         ("detections",),
         (frames[0] % scored.by_step,),
@@ -221,12 +215,11 @@ def film_moment(
     run = open_run(folder)
     rows = RunRows.of(run)
     track_set = read_tracks(tracks, run, rows)
-    scored = ScoredRun.of(rows, track_set.tracks, rules)
-    story = Story.of(scored, moment_s)
-    camera = story.lost % scored.by_step
+    story = Story.of(ScoredRun.of(rows, track_set.tracks, rules), moment_s)
+    by_step, camera = story.scored.by_step, story.lost % story.scored.by_step
     selection = select(run, (camera,), from_s=moment_s - AROUND_S, to_s=moment_s + AROUND_S)
     progress(0, len(selection.steps))
-    plan = _plan(story, [step * scored.by_step + camera for step in selection.steps], track_set)
+    plan = _plan(story, [step * by_step + camera for step in selection.steps], track_set)
     plan = replace(plan, layers=Layers.of((*LAYERS, "detections")).without("missed"))
     path = film_path(folder)
     with claimed([path], overwrite=overwrite, inputs=[*read_of_run(folder), *tracks.iterdir()]):

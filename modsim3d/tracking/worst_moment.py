@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import areas
+from modsim3d.tracking.scores.occlusions import OcclusionSpans
 from modsim3d.tracking.scores.scored_run import ScoredRun, frame_lengths_s
 
 WINDOW_S = 5.0  # as long as a look at what happens in a film
 LOST, FALSE, SWITCHED = range(3)
+_BY_SWITCHES = "id_switches", "tracks_per_vessel", "assa", "assre", "asspr", "idf1", "idp", "idr"
+LOWERED_BY = dict.fromkeys(_BY_SWITCHES, "identity switch") | {"occlusions_survived": "lost occlusion"}  # by score
 _DECIMALS = 6  # of sums of seconds that are compared: below that they differ by rounding only
 
 
@@ -104,5 +107,20 @@ def worst_mistake(scored: ScoredRun, moment_s: float) -> Mistakes:
     near = steps == steps[np.argmin(np.abs(scored.times_s[steps] + start_s - moment_s))]
     frames, place = np.unique(mistakes.frame[near], return_inverse=True)
     here = mistakes._take(mistakes.frame == frames[np.argmax(np.bincount(place, mistakes.seconds[near]))])
-    rank = np.array([1, 0, 2])[here.kind]
-    return here._take(np.lexsort((areas(here.boxes_px), rank))[-1:])
+    return here._take(np.lexsort((areas(here.boxes_px), np.array([1, 0, 2])[here.kind]))[-1:])
+
+
+def row_to_show(scored: ScoredRun, column: str) -> int:
+    """Row of the matching's vessels that shows why a score, by its column in a table, is low, as in `LOWERED_BY`: of
+    the vessel with most switches, or with most lost occlusions, the largest box after one; `NOBODY` for none."""
+    part, _, key = column.rpartition(".")
+    truth, scene, rows = scored.following.truth, scored.rows.scene, np.empty(0, dtype=np.int64)
+    if key in _BY_SWITCHES:
+        frames = {f"state.{each.name}": scored.state_frames(k) for k, each in enumerate(scene.detector.states)}
+        rows = _switches(replace(scored, frames=frames.get(part, scored.frames)))
+    elif key in LOWERED_BY:
+        each = (spans := OcclusionSpans.of(scored)).histories
+        after = each.first_after(truth.scored[each.row])[spans.last]
+        rows = each.row[after[spans.judged & ~spans.survived]]
+    vessel, area = truth.vessel[rows], areas(truth.boxes_px[rows])
+    return int(rows[np.lexsort((area, np.bincount(vessel)[vessel]))[-1]]) if len(rows) else NOBODY

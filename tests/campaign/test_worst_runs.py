@@ -18,6 +18,7 @@ from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.ranking import WorstRun, worst_runs
+from modsim3d.campaign.report.campaign_page import moment_block
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
@@ -26,7 +27,9 @@ from modsim3d.campaign.work.row import row_of, rules_of
 from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.tracking import worst_film
+from modsim3d.tracking.scores.scored_run import ScoredRun
 from modsim3d.tracking.worst_film import WIDTH_PX, Story, moment_pictures
+from modsim3d.tracking.worst_moment import NOBODY, row_to_show
 from modsim3d.view.pictures.canvas import Label
 from tests.campaign.campaigns import interrupt, run_campaign_file
 from tests.cli.conftest import Modsim3d
@@ -118,11 +121,12 @@ def test_a_run_made_again_has_the_row_of_the_campaign_and_its_picture_shows_the_
     made = remade(campaign.folder, worst.number)
     row, stored = row_of(worst.number, made, campaign.folder.keys.score), campaign.table.to_pylist()[worst.number]
     assert {name: stored[name] for name in row} == row and row["worst_s"] == worst.moment_s is not None
-    before, after = moment_pictures(made.rows, made.tracks, worst.moment_s, rules)
-    assert before.size == after.size and before.width == WIDTH_PX and before != after
+    scored = (ScoredRun.of(made.rows, made.tracks.take(np.arange(n)), rules) for n in (len(made.tracks), 0))
+    (before, after), without = (moment_pictures(Story.of(each, worst.moment_s)) for each in scored)
+    assert before.size == after.size and before.width == WIDTH_PX and after not in (before, *without)
     assert len(encoded(after, optimize=True)) < 300_000
-    none = made.tracks.take(np.empty(0, dtype=np.int64))
-    assert after not in moment_pictures(made.rows, none, worst.moment_s, rules)
+    caption = moment_block(campaign.folder, worst.number, "sort", worst.moment_s, "occlusions_survived").caption
+    assert f"after {worst.moment_s:.1f} s, with sort. There is no lost occlusion to show" in caption
     with pytest.raises(ModsimError, match=r"has runs 0 to 15 \(got 16\)"):
         remade(campaign.folder, 16)
 
@@ -133,8 +137,7 @@ def test_of_a_switch_a_lost_vessel_and_a_false_track_the_switch_is_shown_then_th
     switch, stays = ([(step, number if step == 3 else 8, box()) for step in range(4)] for number in (9, 8))
     shown = []
     hidden = [(*row, 0.0 if row[:2] in ((1, 0), (2, 0)) else 1.0) for row in truth]  # nobody sees her before the switch
-    four = (truth, switch + false + lost), (hidden, switch), (truth, stays + false + lost), ([], false)
-    for rows, tracks in four:
+    for rows, tracks in (truth, switch + false + lost), (hidden, switch), (truth, stays + false + lost), ([], false):
         story = Story.of(hand_made(rows, tracks, 4), 3.0)
         close_up = story.close_up([story.before, story.lost])
         shown.append((story.before, story.lost, [*close_up.captions.values()], sorted(close_up.tracks)))
@@ -147,6 +150,11 @@ def test_of_a_switch_a_lost_vessel_and_a_false_track_the_switch_is_shown_then_th
         (1, 3, [f"{b}: track #7", f"{b}: no track"], [7]),
         (3, 3, ["track #20 on nothing"], [20]),
     ]
+    seen = [(k, 0, box(), 0.2 if k in (6, 7) else 1.0) for k in range(9)] + [(k, 1, box(50, 0, 40)) for k in range(9)]
+    tracks = [(k, 7 + k // 2, box()) for k in range(6)] + [(k, k // 7, box(50, 0, 40)) for k in range(9)]
+    scored = hand_made(seen, [*tracks, (1, 20, box(400))], 9)
+    picked = [Story.of(scored, 1.0, row_to_show(scored, x)) for x in ("idf1", "occlusions_survived", "state.haze.assa")]
+    assert [(each.vessel, each.before, each.lost) for each in picked] == [(0, 3, 4), (0, 5, 8), (NOBODY, 1, 1)]
 
 
 def test_the_command_makes_the_run_that_the_options_of_run_make(campaign, again, modsim3d, tmp_path):

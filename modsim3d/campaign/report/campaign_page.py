@@ -30,10 +30,13 @@ from modsim3d.campaign.verdicts.seed_values import (
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import levels_of, score_name
 from modsim3d.campaign.work.row import DONE, SAID, error_text, rules_of
+from modsim3d.core.arrays import NOBODY
 from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Row, Table, Text
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, listed, three_digits, three_digits_with_interval
-from modsim3d.tracking.worst_film import ABOUT, moment_pictures
+from modsim3d.tracking.scores.scored_run import ScoredRun
+from modsim3d.tracking.worst_film import ABOUT, Story, moment_pictures
+from modsim3d.tracking.worst_moment import LOWERED_BY, row_to_show
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
@@ -206,23 +209,27 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
     yield Heading(f"Run {each.number}: {each.tracker}, {what}", 3)
     yield Text(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft")
     if each.moment_s is not None:
-        yield moment_block(folder, each.number, each.tracker, each.moment_s)
+        yield moment_block(folder, each.number, each.tracker, each.moment_s, each.score)
     advance(1)
-    for name, line in (("Make it again:", each.again), ("Film the moment:", each.film)):
+    for name, line in (("Make it again:", each.again), ("Film where most is wrong:", each.film)):
         if line:
             yield Text(name)
             yield Text(line, "code")
 
 
-def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: float) -> Block:
-    """The moment at which a run went wrong; a run that cannot be made again says why."""
+def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: float, score: str) -> Block:
+    """What made a score of a run low, or its worst moment; a run that cannot be made again says why."""
     try:
         made = remade(folder, number)
         assert isinstance(made.tracks, Tracks)  # of tracks in the world no moment is known
-        pictures = moment_pictures(made.rows, made.tracks, moment_s, rules_of(folder.keys.score))
+        scored = ScoredRun.of(made.rows, made.tracks, rules_of(folder.keys.score))
+        story = Story.of(scored, moment_s, row := row_to_show(scored, score))
+        pictures, step = moment_pictures(story), story.lost // scored.by_step
     except ModsimError as error:
         return Text(f"There is no picture: {error}", "soft")
-    caption = f"Run {number} before and after {moment_s:.1f} s, with {tracker}. {ABOUT}"
+    wanted, at_s = LOWERED_BY.get(score.rpartition(".")[2]), made.rows.scene.timestamps(step, step + 1)[0]
+    none = f"There is no {wanted} to show: this is where most is wrong. " if wanted and row == NOBODY else ""
+    caption = f"Run {number} before and after {float(at_s):.1f} s, with {tracker}. {none}{ABOUT}"
     return Figure(partial(images, pictures, caption, "jpeg", quality=QUALITY), caption)
 
 

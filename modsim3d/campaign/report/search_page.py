@@ -124,7 +124,7 @@ def _moments(
     advance(0, len(shown))
     for row in shown:
         yield Heading(f"Trial {row['run']}: {score.name} {significant(row[score.column])}", 3)
-        yield moment_block(folder, row["run"], row["tracker"], row["worst_s"])
+        yield moment_block(folder, row["run"], row["tracker"], row["worst_s"], score.column)
         advance(1)
 
 
