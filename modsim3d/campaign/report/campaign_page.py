@@ -218,7 +218,7 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
 
 
 def moment_block(folder: CampaignFolder, number: int, tracker: str, moment_s: float, score: str) -> Block:
-    """What made a score of a run low, or its worst moment; a run that cannot be made again says why."""
+    """Pictures of what made a score of a run low, or of its worst moment; a run that cannot be made again says why."""
     try:
         made = remade(folder, number)
         assert isinstance(made.tracks, Tracks)  # of tracks in the world no moment is known
