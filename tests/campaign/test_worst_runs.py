@@ -100,8 +100,7 @@ def test_failed_requirements_take_turns_and_come_before_undecided_ones_and_no_ru
     undecided = [each for each in found(campaign, verdict(0, "undecided"), *failed, count=99) if each.tracker == "sort"]
     assert [each.value for each in undecided[-4:]] == sorted(values(campaign, "hota", "sort", 0))
     every = found(campaign, verdict(0, "failed"), verdict(1, "failed"), verdict(0, "met", "hasty"), count=99)
-    numbers = [each.number for each in every]
-    assert len(numbers) == len(set(numbers)) == 9
+    assert len(every) == len({each.number for each in every}) == 9
     assert every[1].score == "hota"  # the first requirement that names a run says why
 
 
