@@ -166,7 +166,6 @@ RINGS = 5  # the most range rings from a camera to the farthest corner of the ma
 RADIUS_PT = 6.5  # size of the radii of range rings
 MARKER_SHARE = 0.018  # a hull shorter than this share of the map's width has an arrowhead of that length around it
 CAMERA_NAME_SHARE = 0.06  # how far before a camera its name stands, as a share of the map's shorter side
-LAND, SHORE, SOIL = map(palette.css, (palette.LAND, palette.OBSTACLE, palette.SOIL))
 CAMERA, RING = "#c0392b", "#6d7b85"
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
 _HULL = np.array([(-1, -0.3), (0.6, -0.3), (0.6, 0), (1, 0), (0.6, 0), (0.6, 0.3), (-1, 0.3)])  # with the tick ahead
@@ -422,13 +421,15 @@ def camera_marks(sheet: MapSheet) -> list[CameraMark]:
 def draw_obstacles(sheet: MapSheet) -> None:
     """Draw the footprint and the name of each obstacle, which stay."""
     for obstacle, shape in zip(sheet.birds_eye.scene.obstacles, sheet.birds_eye.land, strict=True):
+        colours = palette.obstacle_colours(obstacle.name)
+        shore, _, soil, pale = map(palette.css, colours)
         for part in shapely.get_parts(shape).tolist():
-            label = sheet.once("obstacle")
+            label = sheet.once("land" if colours is palette.LAND else "obstacle")
             ring = shapely.get_coordinates(part.exterior)
-            sheet.area(ring, facecolor=LAND, edgecolor=SHORE, lw=0.6, zorder=2, label=label)
+            sheet.area(ring, facecolor=pale, edgecolor=shore, lw=0.6, zorder=2, label=label)
         shown = shape & shapely.box(*np.array(sheet.birds_eye.extent_m)[[0, 2, 1, 3]])
         if shown.is_empty:
             continue
         middle, (x0, y0, x1, y1) = shown.representative_point(), shown.bounds
-        name = sheet.names.add(obstacle.name, fontsize=7, color=SOIL)
+        name = sheet.names.add(obstacle.name, fontsize=7, color=soil)
         name.place_m, name.half_m = np.array([middle.x, middle.y]), np.array([x1 - x0, y1 - y0]) / 2

@@ -1,7 +1,8 @@
 """Colours that colour-blind people can tell apart: those of Okabe & Ito (2008), "Color Universal Design".
 The vermilion among them is kept for what went wrong, so that no vessel has it; its lines differ too."""
 
-from collections.abc import Container
+import re
+from collections.abc import Container, Iterable
 
 Colour = tuple[int, int, int]
 Colours = tuple[Colour, ...]
@@ -13,10 +14,11 @@ SEA: Colour = (38, 52, 64)
 SKY: Colour = (168, 186, 198)
 HORIZON: Colour = (226, 234, 238)
 TRUTH: Colour = (225, 225, 225)
-OBSTACLE: Colour = (141, 133, 119)  # land, piers and all else that is no vessel, in pictures, on pages and on maps
-LAND: Colour = (207, 200, 186)
-SOIL: Colour = (92, 86, 75)
-OBSTACLES: Colours = (OBSTACLE, (174, 167, 153), SOIL, LAND)  # in turn, where they are told apart
+LAND: Colours = ((118, 132, 88), (152, 166, 120), (82, 94, 58), (200, 210, 176))
+BUILT: Colours = ((141, 133, 119), (174, 167, 153), (92, 86, 75), (207, 200, 186))
+"""Land is green, piers and all else that is built are grey, in pictures, on pages and on maps: plain, light, dark and
+pale, in turn where obstacles are told apart."""
+LAND_NAMES = re.compile("island|isle|hill|shore|skerry|land|rock|cliff|coast|mountain|reef")  # of obstacles
 STATES: tuple[Colour, Colour] = ((180, 168, 216), (72, 30, 126))
 """The first and the last of a detector's performance states, pale and strong; no vessel has their hue."""
 PAPER: Colour = (250, 250, 248)
@@ -37,14 +39,20 @@ def vessel_colour(index: int, own_ships: Container[int] = ()) -> Colour:
     return (colour, mixed(colour, WHITE, TINT), mixed(colour, BLACK, SHADE))[turn % 3]
 
 
-def obstacle_colour(index: int) -> Colour:
-    """The colour of an obstacle, by its index in the scene, where obstacles are to be told apart."""
-    return OBSTACLES[index % len(OBSTACLES)]
+def obstacle_colours(name: str) -> Colours:
+    """The four colours of an obstacle, plain, light, dark and pale: those of land if its name says that it is land."""
+    return LAND if LAND_NAMES.search(name.lower()) else BUILT
 
 
-def owner_colour(occluder: int, vessels: int, own_ships: Container[int] = ()) -> Colour:
-    """The colour of a vessel, or the colour of an obstacle for an index beyond the vessels."""
-    return vessel_colour(occluder, own_ships) if occluder < vessels else obstacle_colour(occluder - vessels)
+def obstacle_colour(index: int, name: str) -> Colour:
+    """The colour of an obstacle, by its index in the scene and its name, where obstacles are to be told apart."""
+    return obstacle_colours(name)[index % len(LAND)]
+
+
+def owner_colours(vessels: int, obstacles: Iterable[str], own_ships: Container[int] = ()) -> list[Colour]:
+    """The colours of vessels, then those of obstacles by their names."""
+    built = [obstacle_colour(index, name) for index, name in enumerate(obstacles)]
+    return [*(vessel_colour(index, own_ships) for index in range(vessels)), *built]
 
 
 def state_colours(states: int) -> list[Colour]:

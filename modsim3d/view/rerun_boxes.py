@@ -293,7 +293,7 @@ class Space:
             log.put(image_path(camera.name), pinhole, static=True)
         for index, obstacle in enumerate(log.scene.obstacles):
             corners = np.concatenate([vertices[solid.faces] for solid, vertices in obstacle.solids])
-            mesh = self._mesh(corners, palette.obstacle_colour(index))
+            mesh = self._mesh(corners, palette.obstacle_colour(index, obstacle.name))
             log.put(["world", "obstacles", obstacle.name], mesh, static=True)
 
     def show(self, steps: Indices) -> None:

@@ -161,19 +161,18 @@ class Pictures:
 
     def _put(self, seen: ViewOutlines) -> None:
         sdk, path, scene = self.log.sdk, rerun_boxes.image_path(seen.camera.name), self.log.scene
-        vessels = len(scene.vessels)
         owners = [each.occluder for each in seen.silhouettes for _ in each.rings_px]
+        obstacles = [obstacle.name for obstacle in scene.obstacles]
+        colours = palette.owner_colours(len(scene.vessels), obstacles, scene.own_ships)
         lines = sdk.LineStrips2D(
             [ring for each in seen.silhouettes for ring in simple(each.rings_px, 0.5 / picture_scale(seen.camera))],
-            colors=[palette.darker(palette.owner_colour(owner, vessels, scene.own_ships), EDGE) for owner in owners],
+            colors=[palette.darker(colours[owner], EDGE) for owner in owners],
             labels=[scene.occluder_names[owner] for owner in owners],
             show_labels=False,
             radii=self.log.thin(),
         )
         line = sdk.LineStrips2D(horizon_px(seen), colors=[(*palette.HORIZON, HALF)], radii=self.log.thin())
-        self.log.put(
-            [*path, "scene"], sdk.EncodedImage(contents=png(seen, vessels, scene.own_ships), media_type="image/png")
-        )
+        self.log.put([*path, "scene"], sdk.EncodedImage(contents=png(seen, colours), media_type="image/png"))
         self.log.put([*path, "horizon"], line)
         self.log.put([*path, "silhouettes"], lines)
 
@@ -213,10 +212,10 @@ def picture_size(camera: Camera) -> tuple[int, int]:
     return width, height
 
 
-def png(seen: ViewOutlines, vessels: int, own_ships: tuple[int, ...] = ()) -> bytes:
+def png(seen: ViewOutlines, colours: Sequence[palette.Colour]) -> bytes:
     """The picture of a frame as a PNG file: sky, sea, and silhouettes darker than the boxes on them."""
     picture, written = paint(seen), BytesIO()
-    owners = [palette.darker(palette.owner_colour(i, vessels, own_ships)) for i in range(MAX_COLOURS)]
+    owners = [palette.darker(colour) for colour in colours[:MAX_COLOURS]]
     picture.putpalette([*chain.from_iterable([palette.SKY, palette.SEA, *owners])])
     # imageio passes no palette on. In RGB, this takes 2 to 4 times as long and 1.4 to 1.8 times the bytes.
     picture.save(written, "PNG")

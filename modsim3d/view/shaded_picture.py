@@ -4,7 +4,6 @@ Pixels show vessels as the ID buffer of the same size does. Light, fog and night
 from __future__ import annotations
 
 import math
-import re
 from functools import lru_cache
 
 import numpy as np
@@ -156,8 +155,7 @@ def _glow(
 SAMPLES = 2  # solids are drawn this much larger and shrunk, so that their edges have no steps
 REFLECTION = 0.8  # share of a vessel's light that a calm sea would show
 SMEAR = 6  # pixels, at a width of 1280, by which ripples move a reflection
-LAND = re.compile("island|isle|hill|shore|skerry|land|rock|cliff|coast|mountain|reef")  # in names of obstacles
-GREEN, DECK = (96, 112, 70), (150, 150, 144)  # of land, and of own ship's deck, which no other vessel is mixed with
+DECK = (150, 150, 144)  # of own ship, which no other vessel is mixed with
 OVERHEAD = np.array([0.2, -0.3, 1.0])  # to the part of the sky that is brightest apart from the sun, in the world
 
 
@@ -330,12 +328,9 @@ def lit_faces(solids: Solids) -> LitFaces:
     flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
     corners = flat * depth[..., None]
     vessels, poses = len(solids.extents_m), solids.sight.camera_poses
-    own, names = solids.sight.carriers[0], [obstacle.name for obstacle in solids.sight.obstacles]
-    colours = []
+    own, colours = solids.sight.carriers[0], []
     for occluder in solids.occluders.tolist():
         colour = occluder_colour(occluder, solids)
-        if occluder >= vessels and LAND.search(names[occluder - vessels].lower()):
-            colour = palette.mixed(colour, GREEN, 0.6)
         colours.append(palette.mixed(colour, DECK, 0.75) if occluder < vessels and own[occluder] else colour)
     height_m = (corners @ poses.camera_R_world[0] + poses.positions_m[0])[..., 2]
     shade = np.clip(0.72 + 0.04 * height_m, 0.72, 1.1)  # what stands in the water is darker at its foot

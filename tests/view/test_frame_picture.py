@@ -162,10 +162,10 @@ def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
     for i, name in enumerate(names):
         here = ids == vessels + 1 + i
         if here.sum() > 500:
-            assert (picture[here] == palette.obstacle_colour(i)).all(axis=-1).mean() > 0.8, name
+            assert (picture[here] == palette.obstacle_colour(i, name)).all(axis=-1).mean() > 0.8, name
     key = {entry.text: entry.colour for entry in id_entries(dict(enumerate(scene.vessel_names)), names)}
     assert key["a: north_island"] != key["b: north_hill"] != key["c: south_island"]
-    assert len({palette.obstacle_colour(i) for i in range(4)}) == 4
+    assert len({palette.obstacle_colour(i, name) for i in range(4) for name in ("Big Island", "pier")}) == 8
 
 
 def test_ids_are_those_of_the_pixel_centres_in_each_vessels_colour_with_its_number(hiding, renderer, monkeypatch):

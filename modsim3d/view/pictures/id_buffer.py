@@ -65,11 +65,11 @@ def ids_picture(
         return picture
     left, top, right, bottom = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
     shown = ids[top:bottom, left:right]
-    vessels = len(solids.extents_m)
+    colours = _owner_colours(solids)
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
     for occluder in np.unique(solids.occluders).tolist():
         if occluder + 1 < len(table):
-            table[occluder + 1] = palette.owner_colour(occluder, vessels, solids.own_ships)
+            table[occluder + 1] = colours[occluder]
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))
@@ -79,10 +79,15 @@ def ids_picture(
     return picture
 
 
+def _owner_colours(solids: Solids) -> list[Colour]:
+    obstacles = [obstacle.name for obstacle in solids.sight.obstacles]
+    return palette.owner_colours(len(solids.extents_m), obstacles, solids.own_ships)
+
+
 def _mark(canvas: Canvas, ids: Ids, left: int, top: int, solids: Solids) -> None:
     """Write each vessel's number and each obstacle's letter on what is seen of it, or beside it."""
     size = max(9, round(canvas.text_px * 0.9))
-    vessels = len(solids.extents_m)
+    vessels, colours = len(solids.extents_m), _owner_colours(solids)
     boxes: list[Box] = []
     beside: list[Label] = []
     for value in np.unique(ids[ids > 0]).tolist():
@@ -95,7 +100,7 @@ def _mark(canvas: Canvas, ids: Ids, left: int, top: int, solids: Solids) -> None
         columns = np.flatnonzero(here[int(np.argmax(by_row))])
         x0, y0, x1, y1 = text_size(text, size)
         if len(columns) < x1 - x0 + 4 or by_column.max() < y1 - y0 + 4:
-            beside.append(Label(boxes[-1], text, palette.owner_colour(index, vessels, solids.own_ships)))
+            beside.append(Label(boxes[-1], text, colours[index]))
             continue
         x = left + int(columns[len(columns) // 2])
         middle = np.flatnonzero(here[:, x - left])

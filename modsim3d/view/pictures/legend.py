@@ -66,7 +66,8 @@ def id_entries(
 ) -> list[LegendEntry]:
     """The legend of an ID map with these vessels, by their indices in the scene, and obstacles."""
     land = [
-        LegendEntry(f"{letters(i)}: {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)
+        LegendEntry(f"{letters(i)}: {name}", palette.obstacle_colour(i, name), "filled")
+        for i, name in enumerate(obstacles)
     ]
     return [*vessel_entries(vessels, own_ships), *land, LegendEntry("hidden", palette.VESSELS[0], "hatched")]
 

@@ -229,6 +229,7 @@ def fill_solids(
 
 
 def occluder_colour(occluder: int, solids: Solids) -> Colour:
-    """The colour of a vessel, or that of obstacles for an index beyond the vessels."""
-    vessel = occluder < len(solids.extents_m)
-    return palette.vessel_colour(occluder, solids.own_ships) if vessel else palette.OBSTACLE
+    """The colour of a vessel, or that of land or of what is built for an index beyond the vessels."""
+    if (index := occluder - len(solids.extents_m)) < 0:
+        return palette.vessel_colour(occluder, solids.own_ships)
+    return palette.obstacle_colours(solids.sight.obstacles[index].name)[0]

@@ -349,7 +349,7 @@ class _Recorder:
 
 def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
     vessels = [palette.vessel_colour(index, scene.own_ships) for index in range(len(scene.vessels))]
-    obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
+    obstacles = [palette.obstacle_colour(index, each.name) for index, each in enumerate(scene.obstacles)]
     states = palette.state_colours(len(scene.detector.states))
     return {
         "name": scene.name,

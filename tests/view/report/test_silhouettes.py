@@ -302,7 +302,7 @@ def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, 
     vessels, obstacles = range(len(scene.vessels)), range(len(scene.obstacles))
     colours = [
         *(palette.darker(palette.vessel_colour(i, scene.own_ships)) for i in vessels),
-        *map(palette.obstacle_colour, obstacles),
+        *(palette.obstacle_colour(i, scene.obstacles[i].name) for i in obstacles),
     ]
     inside = (ids > 0) & (minimum_filter(ids, EDGE_PX) == maximum_filter(ids, EDGE_PX))
     off = np.abs(picture[inside].astype(int) - np.array(colours)[ids[inside] - 1]).max(axis=1)
