@@ -180,7 +180,7 @@ class MapSheet:
     birds_eye: BirdsEye
     names: MapNames
     moving: list[Artist] = field(default_factory=list)  # those that differ from step to step, but for the names
-    symbols: dict[Artist, Array] = field(default_factory=dict)  # shape of some artists in the key, (n, 2)
+    symbols: dict[Artist, Array | str] = field(default_factory=dict)  # outline in the key, (n, 2), or marker's name
     _explained: set[str] = field(default_factory=set)
 
     def once(self, text: str) -> str:

@@ -87,14 +87,15 @@ class Map:
         self.figure.set_layout_engine("none")
 
     def _in_key(self, artist: Any) -> Any:
-        """Symbol of an artist in the key: hulls and arrowheads have a symbol of their shape."""
+        """Symbol of an artist in the key: hulls, arrowheads and crosses have a symbol of their shape."""
         from matplotlib.lines import Line2D
 
-        if artist not in self.sheet.symbols:
+        if isinstance(marker := self.sheet.symbols.get(artist), str):
+            return Line2D([], [], ls="", marker=marker, mew=1.6, color=artist.get_color()[0], label=artist.get_label())
+        if marker is None:
             return artist
         look = {"mfc": artist.get_facecolor(), "mec": artist.get_edgecolor(), "mew": artist.get_linewidth()}
-        shape = self.sheet.symbols[artist].tolist()
-        return Line2D([], [], ls="", marker=shape, ms=11 + len(shape), label=artist.get_label(), **look)
+        return Line2D([], [], ls="", marker=marker.tolist(), ms=11 + len(marker), label=artist.get_label(), **look)
 
     def show(self, step: int, bearings: Sequence[map_marks.Bearing] = ()) -> None:
         """Move everything to where it is at a step, with bearings of detections and tracks."""

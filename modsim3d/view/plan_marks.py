@@ -64,6 +64,7 @@ class PlanMarks:
         for distance_m, after_s, line, other in nearest:
             name = f"{scene.vessel_names[other]}: CPA {distance_m:.0f} m in {after_s / 60:.1f} min"
             next(names).show(name, line.mean(axis=0))
+            self._sheet.names.dots_m[-1 - other] = line.mean(axis=0)  # no name lies on it, else no line gets there
         x0, x1, y0, y1 = self._sheet.birds_eye.extent_m
         reach = np.linspace(0, np.hypot(x1 - x0, y1 - y0), 200)[:, None]
         for lines, of_tracks in ((self._detections, False), (self._tracks, True)):
@@ -89,6 +90,7 @@ class WorldTrackMarks:
         self._sheet, self._tracks = sheet, sheet.birds_eye.world_tracks
         edge = [withStroke(linewidth=3.4, foreground="white")]  # a cross lies on a vessel of its colour
         self._crosses = sheet.lines("track in the world", lw=1.6, zorder=8.2, path_effects=edge)
+        sheet.symbols[self._crosses] = "x"
         self._trails = sheet.lines(f"last {TRAIL_S:g} s of a track", lw=1.0, ls=(0, (1, 1)), zorder=8.0)
         self._ellipses = sheet.lines("95 % by a track's covariance", lw=0.8, zorder=8.1)
         self._vectors = sheet.lines("speed vector of a track", lw=1.0, ls=(0, (5, 3)), zorder=5.6)

@@ -80,10 +80,10 @@ class PictureRequest:
 
     @property
     def map_layers(self) -> MapLayers:
-        """The layers of a map."""
-        if "map" in self.kinds and self.layers is not None:
-            return MapLayers.of(self.layers)
-        return PLAN if self.with_tracks else replace(PLAN, tracks=False) if self.kind == "plan" else MAP
+        """The layers of a map; without tracks there is none of them."""
+        asked = MapLayers.of(self.layers) if "map" in self.kinds and self.layers is not None else None
+        chosen = asked or (PLAN if self.with_tracks or self.kind == "plan" else MAP)
+        return replace(chosen, tracks=chosen.tracks and self.with_tracks)
 
     def plan(
         self,
