@@ -40,6 +40,7 @@ class MapName:
     place_m: Array | None = None  # the middle of the thing, shape (2,); None if the thing is not on the map
     half_m: Array = field(default_factory=lambda: np.zeros(2))  # half the size of the thing, shape (2,)
     end_m: Array | None = None  # where the line of a name farther off ends, shape (2,); at the thing if None
+    short: str = ""  # text where there is no room for the whole one
     middle_px: Array | None = None  # of the name as placed, in whole pixels, shape (2,); None without room for it
     _around_px: Array | None = None
 
@@ -51,12 +52,12 @@ class MapName:
             self.put(None)
         return self._around_px
 
-    def show(self, text: str, place_m: Array) -> None:
-        """Name a place, shape (2,), with another text."""
+    def show(self, text: str, place_m: Array, short: str = "") -> None:
+        """Name a place, shape (2,), with another text, and a short one where there is no room."""
         if text != self.note.get_text():
             self.note.set_text(text)
             self._around_px = None
-        self.place_m = place_m
+        self.place_m, self.short = place_m, short
 
     def put(self, middle_px: Array | None) -> None:
         """Put the middle of the name at a place on the picture, or hide the name."""
@@ -118,7 +119,12 @@ class MapNames:
             middles = _middles(page.to_px(name.place_m), name.extent_px(), name.half_m * page.metre_px, page.gap_px)
             if not page.put(name, middles, avoid_lines=True):
                 later.append(name)
-        lines = [line for name in later for line in page.put_away(name)]
+        lines = []
+        for name in later:
+            if not (line := page.put_away(name)) and name.short and name.place_m is not None:
+                name.show(name.short, name.place_m)
+                line = page.put_away(name)
+            lines += line
         self.leaders.set_segments([line * 72 / self.axes.figure.dpi for line in lines])
 
 

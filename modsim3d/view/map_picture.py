@@ -90,10 +90,10 @@ class Map:
         """Symbol of an artist in the key: hulls, arrowheads and crosses have a symbol of their shape."""
         from matplotlib.lines import Line2D
 
-        if isinstance(marker := self.sheet.symbols.get(artist), str):
-            return Line2D([], [], ls="", marker=marker, mew=1.6, color=artist.get_color()[0], label=artist.get_label())
-        if marker is None:
+        if (marker := self.sheet.symbols.get(artist)) is None:
             return artist
+        if isinstance(marker, str):
+            return Line2D([], [], ls="", marker=marker, mew=1.6, color=artist.get_color()[0], label=artist.get_label())
         look = {"mfc": artist.get_facecolor(), "mec": artist.get_edgecolor(), "mew": artist.get_linewidth()}
         return Line2D([], [], ls="", marker=marker.tolist(), ms=11 + len(marker), label=artist.get_label(), **look)
 

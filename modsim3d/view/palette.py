@@ -51,8 +51,8 @@ def obstacle_colour(index: int, name: str) -> Colour:
 
 def owner_colours(vessels: int, obstacles: Iterable[str], own_ships: Container[int] = ()) -> list[Colour]:
     """The colours of vessels, then those of obstacles by their names."""
-    built = [obstacle_colour(index, name) for index, name in enumerate(obstacles)]
-    return [*(vessel_colour(index, own_ships) for index in range(vessels)), *built]
+    others = [obstacle_colour(index, name) for index, name in enumerate(obstacles)]
+    return [*(vessel_colour(index, own_ships) for index in range(vessels)), *others]
 
 
 def state_colours(states: int) -> list[Colour]:

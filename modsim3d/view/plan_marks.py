@@ -62,8 +62,8 @@ class PlanMarks:
         nearest = sorted((each for each in found if 0 < each[1] <= VECTOR_S), key=lambda each: each[0])[:MAX_APPROACHES]
         put(self._approaches, [line for _, _, line, _ in nearest])
         for distance_m, after_s, line, other in nearest:
-            name = f"{scene.vessel_names[other]}: CPA {distance_m:.0f} m in {after_s / 60:.1f} min"
-            next(names).show(name, line.mean(axis=0))
+            name, short = scene.vessel_names[other], f"CPA {distance_m:.0f} m in {after_s / 60:.1f} min"
+            next(names).show(f"{name}: {short}", line.mean(axis=0), short)
             self._sheet.names.dots_m[-1 - other] = line.mean(axis=0)  # no name lies on it, else no line gets there
         x0, x1, y0, y1 = self._sheet.birds_eye.extent_m
         reach = np.linspace(0, np.hypot(x1 - x0, y1 - y0), 200)[:, None]

@@ -289,6 +289,8 @@ def test_tracks_in_the_world_lie_where_they_are_in_the_colour_of_the_vessel_that
     np.testing.assert_allclose(trail, at_m[:6])
     vector = lines["speed vector of a track"].get_segments()[0]
     np.testing.assert_allclose(np.diff(vector, axis=0), [[2 * VECTOR_S, VECTOR_S]])
+    key = figure.legends[0].legend_handles[list(lines).index("track in the world")]
+    assert isinstance(key, Line2D) and (key.get_marker(), key.get_linestyle()) == ("x", "None")
     assert {"#A7", "#B"} <= {text.get_text() for text in axes.texts if text.get_visible()}
     labels = map_figure(BirdsEye(scene, steps, (0,), MAP, tracks), 5, 900).axes[0].get_legend_handles_labels()[1]
     assert "track in the world" not in labels

@@ -65,7 +65,8 @@ def ids_picture(
         return picture
     left, top, right, bottom = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
     shown = ids[top:bottom, left:right]
-    colours = _owner_colours(solids)
+    vessels, names = len(solids.extents_m), [obstacle.name for obstacle in solids.sight.obstacles]
+    colours = palette.owner_colours(vessels, names, solids.own_ships)
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
     for occluder in np.unique(solids.occluders).tolist():
         if occluder + 1 < len(table):
@@ -75,19 +76,13 @@ def ids_picture(
     picture.paste(Image.fromarray(patch), (left, top))
     canvas = Canvas(picture, nominal_width_px)
     hatch_hidden(picture, window, solids, ids, canvas.unit)
-    _mark(canvas, shown, left, top, solids)
+    _mark(canvas, shown, left, top, vessels, colours)
     return picture
 
 
-def _owner_colours(solids: Solids) -> list[Colour]:
-    obstacles = [obstacle.name for obstacle in solids.sight.obstacles]
-    return palette.owner_colours(len(solids.extents_m), obstacles, solids.own_ships)
-
-
-def _mark(canvas: Canvas, ids: Ids, left: int, top: int, solids: Solids) -> None:
+def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int, colours: list[Colour]) -> None:
     """Write each vessel's number and each obstacle's letter on what is seen of it, or beside it."""
     size = max(9, round(canvas.text_px * 0.9))
-    vessels, colours = len(solids.extents_m), _owner_colours(solids)
     boxes: list[Box] = []
     beside: list[Label] = []
     for value in np.unique(ids[ids > 0]).tolist():
