@@ -243,9 +243,8 @@ def test_circles_are_whole_and_a_closest_approach_is_that_of_straight_courses():
     distance_m, after_s, then = _approach(here, velocities)
     assert (distance_m, after_s) == pytest.approx((60, 100)) and then.tolist() == [[500, 0], [500, 60]]
     assert _approach(here, -velocities)[1] == pytest.approx(-100)  # was before
-    for step in (60, 130):  # where names are close, and where one has no room for the vessel's name
-        axes = map_figure(BirdsEye(strait := load_scene("strait"), strait.steps, (0,), MAP), step, 1600).axes[0]
-        assert sum("CPA" in text.get_text() for text in axes.texts if text.get_visible()) == 3
+    maps = [map_figure(BirdsEye(load_scene("strait"), 300, (0,), MAP), step, 1600).axes[0].texts for step in (60, 130)]
+    assert [sum("CPA" in text.get_text() for text in texts if text.get_visible()) for texts in maps] == [3, 3]
 
 
 def test_hulls_and_obstacles_have_their_size_and_the_bearing_of_a_box_points_at_its_vessel(scene):
