@@ -153,8 +153,8 @@ def test_poses_of_all_vessels_at_once_are_those_of_each_track_bit_for_bit(first,
 
 def scene_of(folder, poses: dict[str, Any], **keys: Any):
     cameras = {"C0": camera_keys(pose={"position_m": [-20, 0, 10]})}
-    keys = {"time_step_s": 0.1, "seed": 3, "cameras": cameras, **keys}
-    return write_scene(folder, {name: ([8, 4, 1], []) for name in ("a", "b")}, 20, poses=poses, **keys)
+    keys = {"steps": 20, "time_step_s": 0.1, "seed": 3, "cameras": cameras, **keys}
+    return write_scene(folder, {name: ([8, 4, 1], []) for name in ("a", "b")}, poses=poses, **keys)
 
 
 def test_agents_of_a_scene_are_those_of_python_and_what_is_wrong_with_them_is_told_with_its_path(tmp_path):
