@@ -159,29 +159,26 @@ def mean_table(
 REQUIRED = "Intervals of means that are required are those of the requirements."
 
 
-def required_means(plan: Plan, verdicts: Sequence[Verdict]) -> list[tuple[str, Verdict]]:
-    """The verdicts on means, each with the column of its score."""
-    found = []
+def required_means(plan: Plan, verdicts: Sequence[Verdict]) -> list[tuple[str, dict[str, Any], Verdict]]:
+    """The first verdict on each mean of a tracker, with the column of its score and the values that its rows have."""
+    found: dict[tuple[str, int, str], tuple[str, dict[str, Any], Verdict]] = {}
     for each in verdicts:
         requirement = plan.keys.require[each.requirement]
-        if requirement.share is None:
-            part = [f"{key}.{each.values[key]}." for key in groups_of(plan, requirement)]
-            found.append(("".join([*part, requirement.score]), each))
-    return found
+        if requirement.share is None and requirement.of is None:
+            values = {**each.values, TRACKER: each.tracker}
+            column = "".join(f"{key}.{values.pop(key)}." for key in groups_of(plan, requirement)) + requirement.score
+            found.setdefault((column, each.condition, each.tracker), (column, values, each))
+    return list(found.values())
 
 
 def with_required(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
     """Means with the intervals of their requirements in place of Student's: a mean has one interval."""
-    groups = {place: groups_of(plan, requirement) for place, requirement in enumerate(plan.keys.require)}
-    said = [
-        (column, {key: value for key, value in each.values.items() if key not in groups[each.requirement]}, each)
-        for column, each in required_means(plan, verdicts)
-    ]
+    required = required_means(plan, verdicts)
 
     def interval(row: MeanRow, score: str) -> Mean:
         mean = row.means[score]
-        for column, values, verdict in said:
-            if column == score and {**values, TRACKER: verdict.tracker} == row.values:
+        for column, values, verdict in required:
+            if column == score and values == row.values:
                 low, high = interval_of(verdict, mean.value)
                 return replace(mean, low=low, high=high)
         return mean

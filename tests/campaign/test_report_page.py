@@ -11,7 +11,7 @@ from scipy import stats
 from modsim3d.campaign.done_rows import with_plan
 from modsim3d.campaign.folder import CampaignFolder, files_of_campaign
 from modsim3d.campaign.keys import CampaignKeys, SearchKeys
-from modsim3d.campaign.means import mean_rows, with_required
+from modsim3d.campaign.means import mean_rows, required_means, with_required
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
 from modsim3d.campaign.report.parameter_charts import (
@@ -166,7 +166,8 @@ def test_a_mean_that_is_required_has_the_interval_of_its_requirement_in_table_an
     plan = plan_of(5, [{"grid": {"state": ["clear", "haze"]}}], [{"score": "hota", "at_least": 0.4}])
     table, trackers = table_for(plan), ("sort", "bytetrack")
     verdicts, (state,) = judged(plan, table), parameters_of(plan, table)
-    chart = _with_required(by_level(seed_cells(plan, table, "hota"), state.index, 2), state, trackers, verdicts)
+    found = by_level(seed_cells(plan, table, "hota"), state.index, 2)
+    chart = _with_required(found, state, trackers, [each for *_, each in required_means(plan, verdicts)])
     rows = with_required(plan, mean_rows(table, ["state"], ["hota"]), verdicts)
     assert len(verdicts) == 4 and all(each.high is not None for each in verdicts)
     for each in verdicts:

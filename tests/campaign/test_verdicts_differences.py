@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.resampled_means import STORED, TRAFFICS, differences, turned
 from modsim3d.campaign.done_rows import with_plan
+from modsim3d.campaign.means import required_means
 from modsim3d.campaign.plan import cases_of
 from modsim3d.campaign.ranking import worst_runs
 from modsim3d.campaign.report.campaign_page import mean_sections, paired_sections
@@ -130,7 +131,9 @@ def test_the_page_holds_no_mean_against_the_threshold_of_a_difference_and_prints
     table = table_of_scores(plan, "siap_completeness", values_of(0.1))
     html = html_of_blocks(paired_sections(plan, table))
     assert "above" in html and ">−0.099</td>" in html
-    assert "Intervals of means that are required" not in html_of_blocks(mean_sections(plan, with_plan(table, plan)))
+    verdicts = judged(plan, with_plan(table, plan))
+    html = html_of_blocks(mean_sections(plan, with_plan(table, plan), verdicts))
+    assert verdicts and "Intervals of means that are required" not in html and required_means(plan, verdicts) == []
 
 
 @pytest.mark.parametrize(("lost", "outcome"), [(1, "failed"), (0, "undecided")])

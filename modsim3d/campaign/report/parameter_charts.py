@@ -189,10 +189,10 @@ def _charts(
     scores: Sequence[Score],
     cells: Mapping[str, Array],
     trackers: Sequence[str],
-    required: Sequence[tuple[str, Verdict]],
+    required: Sequence[tuple[str, Any, Verdict]],
 ) -> str:
     def of_score(column: str) -> list[Verdict]:
-        return [verdict for of, verdict in required if of == column]
+        return [verdict for of, _, verdict in required if of == column]
 
     return "".join(_chart(parameter, each, cells[each.column], trackers, of_score(each.column)) for each in scores)
 
