@@ -25,7 +25,7 @@ from modsim3d.cli.learn import learn_command
 from modsim3d.cli.learn_voyage import learn_voyage_command
 from modsim3d.cli.report import report_command
 from modsim3d.cli.run import run_command, scenes_command
-from modsim3d.cli.shared import INTERRUPTED, JsonOption, QuietOption, VerboseOption, flag
+from modsim3d.cli.shared import INTERRUPTED, JsonOption, QuietOption, VerboseOption, flag, interrupt_again
 from modsim3d.cli.stream import stream_command
 from modsim3d.cli.terminal import check_arguments, lost_output, prepare_output, say, say_error, start_afresh
 from modsim3d.cli.track_and_score import score_command, track_command
@@ -306,6 +306,7 @@ def main() -> None:
     gc.set_threshold(COLLECT_AFTER)
     atexit.register(gc.freeze)  # else Python looks through all objects when it ends, for a fifth of a short run
     prepare_output()
+    sys.unraisablehook = interrupt_again
     status = _status()
     if (problem := lost_output()) is not None:
         say(f"modsim3d: standard output cannot be written to: {problem.strerror or problem}", err=True)

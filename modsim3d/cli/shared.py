@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shlex
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from types import FrameType
@@ -276,6 +278,16 @@ def stoppable() -> Iterator[None]:
     finally:
         for number in ending:
             signal.signal(number, signal.SIG_DFL)
+
+
+def interrupt_again(dropped: sys.UnraisableHookArgs) -> None:
+    """Send this process anew an interrupt that Python dropped, since it came while an object was finalised."""
+    if not isinstance(dropped.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(dropped)
+        return
+    number = dropped.exc_value.status - SIGNALED if isinstance(dropped.exc_value, Stopped) else signal.SIGINT
+    send = partial(os.kill, os.getpid()) if os.name == "posix" else signal.raise_signal
+    threading.Timer(0.01, send, (number,)).start()  # a moment later the finaliser has ended
 
 
 # ---- The options of the commands that show a run with tracks ----

@@ -13,6 +13,7 @@ import pytest
 
 from benchmarks.campaigns.platforms import Platform, campaign, markdown, platforms
 from modsim3d import load_scene, run_scene
+from modsim3d.cli.shared import Stopped, interrupt_again, stoppable
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import camera_R_parent
@@ -97,12 +98,17 @@ def test_workers_without_a_renderer_say_what_one_process_says_and_an_interrupted
     running = started([*command, "--out", tmp_path / "run"], FIRST=str(tmp_path / "first.py"))
     wait_for(lambda: list((tmp_path / "run" / "unfinished").glob("truth_*.npz")), running)
     running.send_signal(signal.SIGINT)
-    try:
-        _, said = running.communicate(timeout=5)
-    except subprocess.TimeoutExpired:  # Python drops an interrupt that comes while an object is finalised
-        running.send_signal(signal.SIGINT)
-        _, said = running.communicate(timeout=60)
+    _, said = running.communicate(timeout=60)
     assert running.returncode == 130 and "go on with --resume" in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), Stopped(signal.SIGTERM)])
+def test_an_interrupt_that_python_drops_while_an_object_is_finalised_comes_again(stop, monkeypatch):
+    monkeypatch.setattr(sys, "unraisablehook", interrupt_again)
+    finalised = type("Finalised", (), {"__del__": lambda _: (_ for _ in ()).throw(stop)})()
+    with pytest.raises(type(stop)), stoppable():
+        del finalised
+        time.sleep(9)
 
 
 def test_script_without_a_main_guard_runs_once(tmp_path):
