@@ -175,20 +175,33 @@ def detect_truth(
             cannot be written.
         TypeError: The truth, the folder or the detector is neither text nor a path.
     """
+    options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz, 0, confidence_scale, None, first_frame)
+    chosen = {"detector": detector, "settings": settings, "state": state, "state_from": state_from}
+    given = detections is not None or truth_alone
+    return _detected(
+        truth, folder, options, None if truth_alone else detections, chosen, labels, horizon, given, seed, overwrite
+    )
+
+
+def _detected(
+    truth: StrPath,
+    folder: StrPath,
+    options: ReadOptions,
+    detections: StrPath | None,
+    detector: Mapping[str, Any],
+    labels: Sequence[str] | None,
+    horizon: float | Sequence[float] | None,
+    given: bool,
+    seed: int,
+    overwrite: bool,
+) -> TruthResult:
+    """Result of `detect_truth`; the arguments are those of `_ReadVideos.of_files`."""
     started = time.perf_counter()
     truth, folder = as_path(truth, "truth"), as_path(folder, "folder")
     if seed < 0:
         raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
-        work = _ReadVideos.of_files(
-            truth,
-            ReadOptions((), image_size_px, skip_bad, frame_rate_hz, 0, confidence_scale, None, first_frame),
-            None if truth_alone else detections,
-            {"detector": detector, "settings": settings, "state": state, "state_from": state_from},
-            labels,
-            horizon,
-            given=detections is not None or truth_alone,
-        )
+        work = _ReadVideos.of_files(truth, options, detections, detector, labels, horizon, given=given)
         if work.given and seed:
             raise InputError("--detector-seed", ["is for a simulated detector: leave it out"])
         names, scene = work.file_names(), work.scene(seed)
@@ -228,12 +241,7 @@ def labelled_video(
     Args:
         truth: As that of `detect_truth`.
         detections: What a real detector found; None for scores of tracks alone.
-        labels: As those of `detect_truth`.
-        image_size_px: As that of `detect_truth`.
-        frame_rate_hz: As that of `detect_truth`.
-        first_frame: As that of `detect_truth`.
-        confidence_scale: As that of `detect_truth`.
-        skip_bad: As that of `detect_truth`.
+        labels, image_size_px, frame_rate_hz, first_frame, confidence_scale, skip_bad: As those of `detect_truth`.
 
     Raises:
         ModsimError: The files are wrong.

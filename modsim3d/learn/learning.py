@@ -206,48 +206,39 @@ def learn_detector(
         learned.write("my_detector.yaml")
 
     Args:
-        truth: The labelled set: COCO, MOT, KITTI or YOLO, a file or a folder; several for several conditions.
-        detections: The detector's results on it, in the same format, as many.
+        truth, detections: A labelled set and the detector's results on it, both COCO, MOT, KITTI or YOLO, each a file
+            or a folder; as many of both, in pairs, for several conditions.
         run: A run, or its directory, or several, in place of both.
-        conditions: A name for each pair of truth and detections.
-        states: Which conditions make each performance state, such as `{"good": ["day"], "bad": ["fog", "rain"]}`, or
-            a number of states to be found by F1; a state for each condition if None.
-        sequence: Text file with a state on each line, in time order, for the transitions between states.
-        interval_s: Seconds between two of its lines.
-        match: How boxes are matched: `confidence`, `optimal`, `centre` or `provenance`; if None, by provenance, that
-            is by what each detection came from, where that is known, which is in runs; else by `confidence`, or
-            by `optimal` without confidences.
+        conditions, states: A name for each pair, and which of them make each performance state, such as `{"good":
+            ["day"], "bad": ["fog", "rain"]}`, or a number of states to be found by F1; one for each if None.
+        sequence, interval_s: Text file with a state on each line, in time order, for transitions; seconds between two.
+        match: How boxes are matched: `confidence`, `optimal`, `centre` or `provenance`, by what each detection came
+            from; if None, by that in runs, which know it, else by `confidence`, or `optimal` without confidences.
         least_iou: Least IoU of a match by `confidence` and `optimal`.
         most_distance_px: Largest distance between centres of a match by `centre`, in pixels.
         confidence: Least confidence of a detection that counts; 0.2 if None. Without confidences all count.
-        confidence_scale: Confidences in the files that stand for 0 and for 1, such as (0, 100); None if they are from
-            0 to 1.
-        replicates: Number of replicates of the bootstrap.
-        seed: Seed of the bootstrap.
-        level: Confidence level of the intervals.
+        replicates, seed, level: Number of replicates of the bootstrap, its seed, and confidence level of the intervals.
         beta: How many times more recall weighs than precision in F-beta.
         clutter: Model of the number of false positives: `auto`, `calibrated` or `per_image`.
         without: Models to leave out, whatever the data carry; docs/learn.md has their names.
         labels: Names of the classes, for MOT and YOLO; types of KITTI.
-        image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
-        frame_rate_hz: Frames in a second, where the files do not say.
-        first_frame: Number of the first frame and pixel in MOT, 0 or 1; if None, 0 where a file has a frame 0.
-        horizon: Row of the horizon in images that do not say theirs, or x and y of two of its points.
+        image_size_px, frame_rate_hz, first_frame, horizon, confidence_scale, skip_bad: As those of `detect_truth`.
         category_offset: Number to add to the category IDs of COCO results.
-        skip_bad: Leave out wrong entries of the files, and count them.
-        check: Compare with the real results where it was not learned: what is learned from each half of the data is
-            simulated over the other. It takes several times as long as to learn.
+        check: Compare what each half of the data teaches with the other half; it takes several times as long.
 
     Raises:
         ModsimError: A file cannot be read, an argument is wrong, or nothing can be learned from this.
         TypeError: A path is neither text nor a path.
     """
-    given = locals()
+    return _learned(**locals())
+
+
+def _learned(truth: Any, detections: Any, run: Any, states: Any, sequence: Any, **options: Any) -> LearnResult:
+    """Result of learning from the arguments of `learn_detector`."""
     text = None if sequence is None else read_text(as_path(sequence, "sequence"), "sequence")
-    plain = {name: given[name] for name in LearnRequest.model_fields.keys() & given.keys()}
-    request = LearnRequest.of(
-        "learn_detector", **plain | {"states": (), "sequence": text} | parse_states(states, "learn_detector")
-    )
+    plain = {name: options[name] for name in LearnRequest.model_fields.keys() & options.keys()}
+    chosen = {"sequence": text} | parse_states(states, "learn_detector")
+    request = LearnRequest.of("learn_detector", **plain | chosen)
     runs = () if run is None else tuple(run) if isinstance(run, list | tuple) else (run,)
     inputs = LearnInputs.of(request, _paths(truth, "truth"), _paths(detections, "detections"), runs)
     call = f"modsim3d.learn_detector({'run=…' if runs else 'truth=…, detections=…'}).write(…) from Python"

@@ -116,7 +116,21 @@ def score_run(
     """
     cutoff = SetDistance().cutoff if gospa_c is None else gospa_c
     rules = Rules(truth, gap_s, Similarity(similarity, scale_px, threshold), by_class, SetDistance(cutoff, gospa_p))
-    run = opened_run(run)
+    in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p, gospa_switch)
+    return _scored(opened_run(run), tracks, rules, cameras, gate_m, in_metres, seeds, progress)
+
+
+def _scored(
+    run: StoredRun,
+    tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet],
+    rules: Rules,
+    cameras: str | Sequence[str] | None,
+    gate_m: float | None,
+    in_metres: SetDistance,
+    seeds: int | None,
+    progress: Callable[[int], None],
+) -> RunScores:
+    """Scores of tracks in the images by `rules`, and in the world by `gate_m` and `in_metres`; see `score_run`."""
     chosen = _chosen(run, cameras)
     run.finished_tables.check_checksums()
     rows = RunRows.of(run)
@@ -130,7 +144,7 @@ def score_run(
         _refuse_image_rules(rules)
     if gate_m is not None and not in_world:
         raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
-    if gospa_switch is not None and not in_world:
+    if in_metres.switch is not None and not in_world:
         raise ModsimError("--gospa C:P:G: G is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
         from modsim3d.tracking.detector_seeds import check_seeds, spread_over_seeds
@@ -139,7 +153,6 @@ def score_run(
             raise ModsimError("--seeds is for a simulated detector, and these detections are a real one's: leave out")
         check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
-    in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p, gospa_switch)
     world = tuple(
         WorldTrackScores(each.name, path, score_world(rows, each, gate_m, in_metres)) for path, each in in_world
     )

@@ -70,16 +70,13 @@ def view_film(
         only_with_vessels: Leave out steps with no vessel in an image.
         tracks, similarity, threshold: As those of `modsim3d.report`.
         layers: Names of layers to draw over the image or on the map (docs/pictures.md); those of the kind if None.
-        look: How vessels and sea look, such as `night,fog:800` or `plain`.
+        look, width: How vessels and sea look, such as `night,fog:800` or `plain`; width of what is drawn, in pixels.
         crop: Part of the image, x_min, y_min, x_max, y_max in pixels, `vessels`: where vessels are, or `none`: all of
             it; that of the kind if None.
-        width: Width of what is drawn, in pixels.
         format: `mp4`, `gif`, or `png`: a folder of pictures; by the name, else `mp4`, if None.
-        speed: Seconds of the run that a second of the film shows.
-        workers: Number of processes, or `auto` for one for each CPU.
+        speed, workers: Seconds of the run in a second of the film; number of processes, or `auto`, one for each CPU.
         overwrite: Replace a film that is there.
-        bar: Context of the function that is given the number of frames drawn since its last call, made of the name of
-            the film, the number of its frames, and their pace in words.
+        bar: From the film's name, number of frames and pace, a context of the function that counts frames drawn since.
 
     Raises:
         ModsimError: The run, its tracks or an argument is wrong, a library is missing, or the film cannot be written.
@@ -95,12 +92,9 @@ def view_film(
     folder, pictures = selection.run.folder, file_format == "png"
     path = path or folder / kind if pictures else out_file(path, folder / f"{kind}.{file_format}")
     claim, showing = _claimed(path, selection.run, overwrite, pictures), ShownSteps.of(selection, file_format, speed)
-    pace, timetable = f"{len(showing.steps)} frames", showing.timetable
-    if not pictures:
-        pace += f", {timetable.duration_s:.1f} s at {float(timetable.rate):g} pictures/s"
-    with claim, bar(path.name, len(showing.steps), pace) as advance:
+    with claim, bar(path.name, len(showing.steps), showing.pace) as advance:
         drawn = draw_film(selection, plan, file_format, path, speed=speed, workers=workers, progress=advance)
-    return Written((path,), ("{} × {} px, ".format(*drawn.size) + pace, *notes))
+    return Written((path,), ("{} × {} px, ".format(*drawn.size) + showing.pace, *notes))
 
 
 def view_frame(

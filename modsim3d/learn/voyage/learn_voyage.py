@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -208,15 +208,18 @@ def learn_voyage(
             or nothing can be learned.
         TypeError: The scene, the log or the attitude is no path.
     """
-    given = locals()
-    plain = {name: given[name] for name in LearnRequest.model_fields.keys() & given.keys()}
-    request = LearnRequest.of("learn_voyage", **plain | {"states": ()} | parse_states(states, "learn_voyage"))
+    return _learned(**locals())
+
+
+def _learned(scene: Any, log: Any, camera: Any, attitude: Any, states: Any, **options: Any) -> VoyageResult:
+    """Result of learning from the arguments of `learn_voyage`."""
+    plain = {name: options.pop(name) for name in LearnRequest.model_fields.keys() & options.keys()}
+    request = LearnRequest.of("learn_voyage", **plain | parse_states(states, "learn_voyage"))
     measured = None if attitude is None else as_path(attitude, "attitude")
-    about = (registration, fixed, known, empty, position_noise, stale_s, measured, log_options)
-    logs = tuple(as_path(each, "log") for each in (log if isinstance(log, list | tuple) else [log]))
+    logs = tuple(as_path(path, "log") for path in (log if isinstance(log, list | tuple) else [log]))
     cameras = (camera,) if camera is None or isinstance(camera, str) else tuple(camera)
     with inputs_noted() as read:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-        voyage = VoyageRequest(request, loaded, logs, cameras, *about)
+        voyage = VoyageRequest(request, loaded, logs, cameras, attitude=measured, **options)
         labelled = voyage.labelled()
     return voyage.learn(labelled, read, "modsim3d.learn_voyage(…).write(…) from Python")

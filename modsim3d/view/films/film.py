@@ -28,13 +28,16 @@ class ShownSteps:
 
     steps: tuple[int, ...]
     timetable: Timetable
+    pace: str  # how many, and of a film how long and how fast
 
     @classmethod
     def of(cls, selection: Selection, kind: str, speed: float) -> ShownSteps:
         """The steps of a selection in a film of one of `FORMATS`; at a high speed some are left out."""
         timetable = Timetable.of(selection.durations_s, speed, MAX_RATE[kind])
         shown = [step for step, repeats in zip(selection.steps, timetable.repeats, strict=True) if repeats]
-        return cls(selection.steps if kind == "png" else tuple(shown), timetable)
+        pace = f", {timetable.duration_s:.1f} s at {float(timetable.rate):g} pictures/s" if kind != "png" else ""
+        steps = selection.steps if kind == "png" else tuple(shown)
+        return cls(steps, timetable, f"{len(steps)} frames{pace}")
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -341,7 +342,7 @@ def ais(
         TypeError: A path is neither text nor a path.
     """
     texts = [f"{group}={label}" for group, label in labels.items()] if isinstance(labels, Mapping) else labels
-    found, folder = find_detector(detector), as_path(out, "out", "a folder")
+    detector, folder = find_detector(detector), as_path(out, "out", "a folder")
     options = Options(
         origin=None if origin is None else parse_origin(origin),
         region=None if region is None else parse_region(region),
@@ -353,16 +354,23 @@ def ais(
         swap_coordinates=swap_coordinates,
         labels_by_type="type" in texts,
         labels=parse_labels(text for text in texts if text != "type"),
-        detector_labels=load_detector(found).labels,
+        detector_labels=load_detector(detector).labels,
     )
-    logs = [as_path(each, "files") for each in (files if isinstance(files, list | tuple) else [files])]
+    logs = [as_path(log, "files") for log in (files if isinstance(files, list | tuple) else [files])]
+    return _written(logs, options, folder, detector, overwrite, call)
+
+
+def _written(
+    logs: list[Path], options: Options, folder: Path, detector: Path, overwrite: bool, call: str | None
+) -> AisScene:
+    """Scene folder of AIS logs and a detector file, with a page that names the command `call`."""
     check_free_scene(folder, overwrite)
     with locked_folder(folder):
         read = [file for file in logs if not file.is_dir()]  # folders are refused when they are read
         for name in FILES:
-            check_free(folder / name, overwrite, [*read, found])
+            check_free(folder / name, overwrite, [*read, detector])
         traffic = read_traffic(logs, options)
-        write_scene(traffic, folder, found, overwrite, ais_page(traffic, call))
+        write_scene(traffic, folder, detector, overwrite, ais_page(traffic, call))
     size = counted(len(traffic.vessels), "vessel"), counted(len(traffic.grid.timestamps), "step")
     odd = warning(traffic)
     return AisScene((folder, folder / PAGE), (", ".join(size), *([odd] if odd else [])), traffic=traffic)

@@ -1,6 +1,6 @@
 """The page of a run, or of two runs side by side, with all files that belong to it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path, out_file
@@ -54,11 +54,7 @@ def report(
         ModsimError: The runs, the tracks or the pictures are wrong, or the page cannot be written.
         TypeError: A path is neither text nor a path.
     """
-    for name, given in (("--tracks", tracks), ("--pictures", pictures), ("--look", look)):
-        if other is not None and given is not None:
-            raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
-    if look is not None and pictures is not None:
-        raise ModsimError("--look and --pictures each say what is below the boxes: leave one out")
+    _check_together(other, {"--tracks": tracks, "--pictures": pictures, "--look": look})
     drawn_as = None if look is None else parse_look(look)
     check_every(every)
     run, second = opened_run(run), None if other is None else opened_run(other)
@@ -78,3 +74,12 @@ def report(
             of = (run, path, every, progress, followed, call, shown)
             write_report(*of, in_files=parts, pictures=images, look=drawn_as)
     return Written((path, *folders), () if followed is None else (followed.sentence(),))
+
+
+def _check_together(other: StoredRun | StrPath | None, given: Mapping[str, object]) -> None:
+    """Raise ModsimError if there is another run beside what is for one, or both pictures and a look."""
+    for name, value in given.items():
+        if other is not None and value is not None:
+            raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
+    if given["--look"] is not None and given["--pictures"] is not None:
+        raise ModsimError("--look and --pictures each say what is below the boxes: leave one out")

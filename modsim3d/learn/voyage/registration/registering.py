@@ -151,9 +151,7 @@ def register(
     aligned = estimated.aligned
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
-    done = _registration(camera, model, aligned, free, known, rules, groups, vessels, len(found.frame))
-    estimates = (replace(each, value=known_means.get(each.name, each.value)) for each in done.estimates)
-    return replace(done, estimates=tuple(estimates))
+    return _registration(camera, model, aligned, free, known, known_means, rules, groups, vessels, len(found.frame))
 
 
 _MEANS = tuple(parameter.name for parameter in parameters.MEAN_ERRORS)
@@ -266,6 +264,7 @@ def _registration(
     aligned: Alignment,
     free: tuple[str, ...],
     known: parameters.Knowledge,
+    means: Mapping[str, float],
     rules: dict[str, str],
     groups: list[ConfoundedGroup],
     vessels: tuple[RegisteredValue, ...],
@@ -273,7 +272,7 @@ def _registration(
 ) -> Registration:
     scales, estimates, nan = parameters.plausible(free), [], float("nan")
     for parameter in SHARED:
-        value = aligned.values[parameter.name]
+        value = means.get(parameter.name, aligned.values[parameter.name])
         error, half = nan, nan
         if parameter.name in free:
             place = free.index(parameter.name)
