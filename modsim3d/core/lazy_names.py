@@ -9,6 +9,14 @@ from typing import Any
 VERSION = "__version__"
 
 
+_PACKAGES: dict[str, "LazyNames"] = {}
+
+
+def public(name: str) -> Any:
+    """Object of a public name, for a method whose work is that of a room above its own: no room imports one above."""
+    return _PACKAGES["modsim3d"][name]
+
+
 class LazyNames:
     """The names of a package, from lines such as `from module import name as name` of the stub beside it."""
 
@@ -18,6 +26,7 @@ class LazyNames:
         self._package = package
         self._homes = {name: module for module, name in re.findall(r"^from (\S+) import \w+ as (\w+)$", stub, re.M)}
         self.names = sorted(self._homes)
+        _PACKAGES[package] = self
 
     def __getitem__(self, name: str) -> Any:
         """Object of a name, as a module's `__getattr__`. Raises AttributeError if there is no such name."""

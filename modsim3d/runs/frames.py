@@ -16,6 +16,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form, iou
 from modsim3d.core.document import Document, Result, Table, Text, Where
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.lazy_names import public
 from modsim3d.core.text import counted, in_percent, listed
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.io.validation import nearest
@@ -279,9 +280,8 @@ class Frame:
         Raises:
             ModsimError: matplotlib is not installed.
         """
-        import modsim3d  # whose names are imported when they are first used: this room knows no pictures
-
-        return modsim3d.plot_frame(self, axes, zoom=zoom, labels=labels)
+        figure: Figure = public("plot_frame")(self, axes, zoom=zoom, labels=labels)
+        return figure
 
 
 def _box(box_px: Array) -> str:

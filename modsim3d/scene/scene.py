@@ -14,6 +14,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.lazy_names import public
 from modsim3d.core.text import column_table, counted, listed
 from modsim3d.detector.model import DetectorModel
 from modsim3d.geometry.camera import Camera
@@ -204,11 +205,10 @@ class Scene:
         Raises:
             InputError: With every problem found, each with its path in the mapping.
         """
-        import modsim3d  # whose names are imported when they are first used
-
         numbers: dict[str, Any] = {"seed": seed, "steps": steps, "mode": mode, "supersample": supersample}
         given = {**numbers, "source": source, "render": render, "detector": detector, "detector_seed": detector_seed}
-        return modsim3d.scene_from_dict(data, name=name, **given)
+        scene: Scene = public("scene_from_dict")(data, name=name, **given)
+        return scene
 
     @cached_property
     def vessel_names(self) -> tuple[str, ...]:
