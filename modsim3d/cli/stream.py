@@ -14,7 +14,7 @@ from modsim3d.cli.terminal import remark, say, tell, tell_files, timed, warn, wr
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
-    from modsim3d.runs.streaming.lines import Address
+    from modsim3d.runs.stream_lines import Address
     from modsim3d.scene.scene import Scene
 
 WAIT_S = 60.0
@@ -43,7 +43,7 @@ def stream_command(
 
     Example: modsim3d stream strait --to tcp://127.0.0.1:5000 --realtime
     """
-    from modsim3d.runs.streaming.lines import header_line
+    from modsim3d.runs.stream_lines import header_line
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
 
@@ -60,7 +60,7 @@ def stream_command(
 
 def _address(to: str, timeout: float | None) -> Address | None:
     """Address at which readers connect; None for standard output."""
-    from modsim3d.runs.streaming.lines import STANDARD_OUTPUT, Address
+    from modsim3d.runs.stream_lines import STANDARD_OUTPUT, Address
 
     if timeout is not None and not 0 < timeout <= LONGEST_WAIT_S:
         raise ModsimError(f"--timeout {timeout:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S}")
@@ -73,8 +73,8 @@ def _address(to: str, timeout: float | None) -> Address | None:
 
 def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -> None:
     """Serve the lines to readers; the first is waited for before the first step."""
-    from modsim3d.runs.streaming.lines import header_line
-    from modsim3d.runs.streaming.server import LineServer, NobodyReads
+    from modsim3d.runs.stream_lines import header_line
+    from modsim3d.runs.stream_server import LineServer, NobodyReads
 
     with LineServer(address, wait_s, header_line(scene), warn=warn, tell=lambda text: tell("reader", text)) as server:
         say(f"listening on {server.address}")
@@ -100,7 +100,7 @@ def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -
 
 def _send_steps(scene: Scene, realtime: bool, send: Callable[[bytes], bool]) -> None:
     """Simulate a scene and send the lines of each step, until there are no more or `send` returns False."""
-    from modsim3d.runs.streaming.lines import Pace, short_collections, step_lines
+    from modsim3d.runs.stream_lines import Pace, short_collections, step_lines
 
     pace = Pace() if realtime else None
     with ExitStack() as started:

@@ -18,7 +18,7 @@ import pytest
 
 from modsim3d.cli import terminal
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.streaming.lines import header_line, step_lines
+from modsim3d.runs.stream_lines import header_line, step_lines
 from modsim3d.scene.reading import load_scene
 from tests.cli.conftest import Modsim3d
 from tests.runs.test_stream import line, lines, scene_of

@@ -26,7 +26,8 @@ from modsim3d.learn.voyage.deconvolution import ComponentNoise, CorrectedDetecto
 from modsim3d.learn.voyage.labelled_voyage import CameraFit, LabelledVoyage
 from modsim3d.learn.voyage.non_ais import classification
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections, StateRates, TimeSpan
-from modsim3d.learn.voyage.non_ais.linking import MIN_RATIO, MIN_S, Behaviour
+from modsim3d.learn.voyage.non_ais.duration_types import MIN_RATIO, MIN_S
+from modsim3d.learn.voyage.non_ais.linking import Behaviour
 from modsim3d.learn.voyage.registration.parameters import COMMON_DELAY, SHARED, ConfoundedGroup
 from modsim3d.learn.voyage.registration.registering import BY_RULE, RegisteredValue, Registration
 from modsim3d.scene.scene import Scene

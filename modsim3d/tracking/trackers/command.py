@@ -19,7 +19,7 @@ from modsim3d.io.coprocess import Coprocess, shown_line
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.validation import Needed, Number, Probability, Strict, describe
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.streaming.lines import header_of
+from modsim3d.runs.stream_lines import header_of
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.interface import TrackedFrame
 from modsim3d.tracking.trackers.world_input import facts_of, world_steps

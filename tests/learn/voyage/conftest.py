@@ -8,7 +8,7 @@ from modsim3d import Scene, load_scene, open_run, run_scene
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
-from modsim3d.runs.streaming.lines import header_line, step_lines
+from modsim3d.runs.stream_lines import header_line, step_lines
 
 STEPS = 24
 

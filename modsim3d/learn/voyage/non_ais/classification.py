@@ -21,7 +21,7 @@ from modsim3d.learn.bootstrap import Column, Entry, Resampling, ratio, resample,
 from modsim3d.learn.learned_detector import Learned
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, utc_s
-from modsim3d.learn.voyage.non_ais import linking
+from modsim3d.learn.voyage.non_ais import duration_types, linking
 from modsim3d.learn.voyage.non_ais.linking import Links
 from modsim3d.scene.ais.options import time_text
 
@@ -334,7 +334,7 @@ class ClassifiedDetections:
     observed: Observed  # the set with its matches, before anything is left out
     links: Links  # the unmatched detections, linked
     tracklets: linking.Tracklets  # what they are of
-    kinds: linking.DurationTypes  # the mixture of lifetimes, in one row
+    kinds: duration_types.DurationTypes  # the mixture of lifetimes, in one row
     stretches: tuple[TimeSpan, ...]  # those marked as empty
     empty: Mask  # which images lie in them, (I,)
     least_s: float  # least mean lifetime of what lasts as vessels do
@@ -395,7 +395,7 @@ class ClassifiedDetections:
     def rates(self, resampling: Resampling, image_state: Indices, states: Sequence[str]) -> tuple[StateRates, ...]:
         """The rates of false positives in states of images (I,), with replicates of a resampling."""
         weights = resampling.weights[:, self.tracklets.first_image]
-        kinds = linking.kinds_of(self.tracklets, weights, self.links.gap_s, self.least_s)
+        kinds = duration_types.kinds_of(self.tracklets, weights, self.links.gap_s, self.least_s)
         likely, perhaps = self.kinds.lasting[0] >= _LIKELY, self.kinds.at_least(_PERHAPS)
         duration = kinds.of_thing[self.links.link]
         weighing = Weighing(self.links.image, duration, self.tells, kinds.lasting, likely, perhaps, self.empty)
@@ -427,7 +427,7 @@ class ClassifiedDetections:
 
 
 def classify_unmatched(
-    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = linking.MIN_S
+    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = duration_types.MIN_S
 ) -> ClassifiedDetections:
     """Link a voyage's unmatched detections, in images with a state, and judge them, given empty stretches on their
     clock, and the least mean lifetime of vessels. Raises InputError if no image lies in a stretch."""
@@ -439,7 +439,7 @@ def classify_unmatched(
     empty = in_stretches(stretches, images.time_s) & counts
     links = linking.link(observed)
     tracklets = linking.tracklets_of(links, images)
-    kinds = linking.kinds_of(tracklets, np.ones((1, len(tracklets.detections))), links.gap_s, least_s)
+    kinds = duration_types.kinds_of(tracklets, np.ones((1, len(tracklets.detections))), links.gap_s, least_s)
     return ClassifiedDetections(observed, links, tracklets, kinds, stretches, empty, least_s)
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.streaming import server as server_module
-from modsim3d.runs.streaming.lines import Address
-from modsim3d.runs.streaming.server import LineServer, NobodyReads, Reader, ReaderGone
+from modsim3d.runs import stream_server as server_module
+from modsim3d.runs.stream_lines import Address
+from modsim3d.runs.stream_server import LineServer, NobodyReads, Reader, ReaderGone
 
 LONG_S = 120.0  # what no test waits for unless something is wrong
 HEADER = b"header\n"

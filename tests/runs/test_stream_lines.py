@@ -23,11 +23,11 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.detector.records import KINDS
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import open_renderer, simulate_blocks, truth_block
-from modsim3d.runs.streaming.lines import Address, Pace, StepLines, header_line, short_collections, step_lines
+from modsim3d.runs.stream_lines import Address, Pace, StepLines, header_line, short_collections, step_lines
 from tests.cli.test_json import documented
 
 STEPS, ANGLES = 12, ("roll", "pitch", "heading")
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 PREFIX = re.compile(rb'\{"camera":("[^"]*"),"frames_in_step":([0-9]+),(?:"attitude_rad":[^]]*],)?')
 
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from types import TracebackType
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.streaming.lines import Address
+from modsim3d.runs.stream_lines import Address
 
 
 class Backlog:
