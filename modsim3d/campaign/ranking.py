@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import pyarrow as pa
@@ -48,15 +49,28 @@ def worst_runs(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdi
     """The runs that went worst, each once, `count` at most. First come runs that crashed. Then each requirement that
     failed names its worst run, and its second worst, and so on; then each that is undecided; then each that is met.
     Without requirements it is the lowest HOTA that counts."""
+    worst = islice(_each_once(folder.plan, table, verdicts), count)
+    return [_worst_run(folder, table.slice(row, 1).to_pylist()[0], ranking) for row, ranking in worst]
+
+
+def score_of_run(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], number: int) -> str:
+    """Column of the score by which a run is one of the worst, in a search that which is searched; empty if none is."""
+    if (search := folder.keys.search) is not None:
+        return search.minimise or search.maximise or ""
+    numbers = table["run"].to_pylist()
+    ranked = _each_once(folder.plan, table, verdicts)
+    return next((ranking.score for row, ranking in ranked if numbers[row] == number), "")
+
+
+def _each_once(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[tuple[int, _Ranking]]:
+    """Rows of a table, the worst first, with the ranking that names each first."""
     crashed = np.flatnonzero(np.asarray(table["status"].to_numpy(zero_copy_only=False)) == CRASHED)
-    rankings = [_Ranking(crashed, "status")], *_rankings(folder.plan, table, verdicts)
-    found: dict[int, _Ranking] = {}
-    for together in rankings:
-        for row, ranking in _by_turns(together):
-            if len(found) >= count:
-                break
-            found.setdefault(row, ranking)
-    return [_worst_run(folder, table.slice(row, 1).to_pylist()[0], ranking) for row, ranking in found.items()]
+    named = set[int]()
+    for rankings in ([_Ranking(crashed, "status")], *_rankings(plan, table, verdicts)):
+        for row, ranking in _by_turns(rankings):
+            if row not in named:
+                named.add(row)
+                yield row, ranking
 
 
 def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[list[_Ranking]]:

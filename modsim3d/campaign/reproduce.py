@@ -11,9 +11,10 @@ import orjson
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.campaign import Campaign, check_files, rows_of
+from modsim3d.campaign.campaign import Campaign, check_files, present_state, rows_of
 from modsim3d.campaign.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.plan import PlannedRun
+from modsim3d.campaign.ranking import score_of_run
 from modsim3d.campaign.search_folder import trial_run
 from modsim3d.campaign.work.layers import LayeredRun, RunLayers
 from modsim3d.campaign.work.row import DONE, error_and_said, row_of, rules_of, search_versions
@@ -139,7 +140,7 @@ def reproduce_run(
     Args:
         campaign, number: A campaign or its folder; number of the run, as in its tables.
         out: Run directory to write, with its tracks beside it. A run that is there already stays if it is this one.
-        film: Film ten seconds around the moment at which the run went wrong, if it did.
+        film: Film ten seconds around the mistake that the pictures of worst runs show, if there is one.
         overwrite: Replace another run that is there.
         progress: Called with the number of steps done since its last call, first with 0 and their number in all; then
             so with frames of the film.
@@ -168,8 +169,9 @@ def reproduce_run(
         error, said = error_and_said(failure)
         raised_at += f"; standard error: {said}" if said else ""
     if film and row is not None and row["worst_s"] is not None:
-        rules = rules_of(folder.keys.score)
-        moment = film_moment(path, tracks, rules, row["worst_s"], overwrite=overwrite, progress=progress)
+        score = score_of_run(folder, (state := present_state(folder)).table, state.verdicts, number)
+        about = rules_of(folder.keys.score), row["worst_s"], score
+        moment = film_moment(path, tracks, *about, overwrite=overwrite, progress=progress)
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     differing = _differing(before, row)
     return RunAgain(run, path, tracks, before, row, error, raised_at, differing, tuple(reused), changed, moment)

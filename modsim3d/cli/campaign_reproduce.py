@@ -27,7 +27,7 @@ def campaign_reproduce_command(
     campaign: shared.CampaignArgument,
     number: Annotated[int, argument("NUMBER", "Number of the run, as in its tables.", min=0)],
     out: Annotated[Path, option("RUN", "Run directory to write; its tracks go to RUN_tracks beside it.")],
-    film: Annotated[bool, flag("--film", "Film ten seconds around the moment at which the run went wrong.")] = False,
+    film: Annotated[bool, flag("--film", "Film ten seconds around what went wrong in the run.")] = False,
     overwrite: shared.OverwriteOption = False,
 ) -> None:
     """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.

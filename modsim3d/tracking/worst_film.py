@@ -23,7 +23,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.selection import StepFrames, select
 from modsim3d.runs.stored_run import open_run
 from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
-from modsim3d.tracking.worst_moment import worst_mistake
+from modsim3d.tracking.worst_moment import row_to_show, worst_mistake
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import TrackSet
 
@@ -201,23 +201,26 @@ def film_moment(
     tracks: Path,
     rules: Rules,
     moment_s: float,
+    score: str,
     *,
     overwrite: bool = False,
     progress: Callable[..., None] = lambda *_: None,
 ) -> MomentFilm:
-    """Film ten seconds of a run with its tracks, around a moment as its timestamps have it, following what the tracker
-    lost then, into `detections.mp4` of the run. `progress` is called with the number of frames drawn since its last
-    call, first with 0 and their number in all. Raises ModsimError if there is no ffmpeg, or the file cannot be
-    written."""
+    """Film ten seconds of a run with its tracks around what made a score low (`row_to_show`), or the worst mistake at a
+    moment as its timestamps have it, into `detections.mp4` of the run. `progress` is called with the number of frames
+    drawn since its last call, first with 0 and their number in all. Raises ModsimError if there is no ffmpeg, or the
+    file cannot be written."""
     from modsim3d.view.films.film import draw_film
     from modsim3d.view.pictures.layers import Layers
 
     run = open_run(folder)
     rows = RunRows.of(run)
     track_set = read_tracks(tracks, run, rows)
-    story = Story.of(ScoredRun.of(rows, track_set.tracks, rules), moment_s)
-    by_step, camera = story.scored.by_step, story.lost % story.scored.by_step
-    selection = select(run, (camera,), from_s=moment_s - AROUND_S, to_s=moment_s + AROUND_S)
+    scored = ScoredRun.of(rows, track_set.tracks, rules)
+    story = Story.of(scored, moment_s, row_to_show(scored, score))
+    step, camera = divmod(story.lost, by_step := scored.by_step)
+    lost_s = float(rows.scene.timestamps(step, step + 1)[0])
+    selection = select(run, (camera,), from_s=lost_s - AROUND_S, to_s=lost_s + AROUND_S)
     progress(0, len(selection.steps))
     plan = _plan(story, [step * by_step + camera for step in selection.steps], track_set)
     plan = replace(plan, layers=Layers.of((*LAYERS, "detections")).without("missed"))

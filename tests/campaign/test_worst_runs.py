@@ -17,7 +17,7 @@ from modsim3d.campaign import reproduce
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
-from modsim3d.campaign.ranking import WorstRun, worst_runs
+from modsim3d.campaign.ranking import WorstRun, score_of_run, worst_runs
 from modsim3d.campaign.report.campaign_page import moment_block
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.running import CampaignResult
@@ -102,6 +102,8 @@ def test_failed_requirements_take_turns_and_come_before_undecided_ones_and_no_ru
     every = found(campaign, verdict(0, "failed"), verdict(1, "failed"), verdict(0, "met", "hasty"), count=99)
     assert len(every) == len({each.number for each in every}) == 9
     assert every[1].score == "hota"  # the first requirement that names a run says why
+    by_run = [score_of_run(campaign.folder, campaign.table, [verdict(1, "failed", "hasty")], each) for each in (9, 8)]
+    assert by_run == ["false_track_s", ""]
 
 
 def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> None:
@@ -171,7 +173,7 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(campaign, again,
 
 def test_the_command_that_films_the_moment_follows_the_one_that_makes_a_run(campaign, modsim3d, tmp_path, monkeypatch):
     monkeypatch.setattr(worst_film, "AROUND_S", 0.5)
-    worst = found(replace(campaign, folder=replace(campaign.folder, path=tmp_path / "c")))[1]
+    worst = found(replace(campaign, folder=replace(campaign.folder, path=tmp_path / "c")))[4]
     shutil.copytree(campaign.folder.path, tmp_path / "c")
     film = shlex.split(worst.film)[1:]
     assert modsim3d(*shlex.split(worst.again)[1:]).status == 0
@@ -188,6 +190,9 @@ def test_the_command_that_films_the_moment_follows_the_one_that_makes_a_run(camp
     filmed = json.loads(modsim3d(*film, "--overwrite", "--json").out)["film"]
     assert (filmed["path"], log.stat().st_mtime_ns > before[0]) == (str(out / "detections.mp4"), True)
     assert (filmed["from_s"], filmed["to_s"]) == (worst.moment_s - 0.5, worst.moment_s + 0.5)
+    monkeypatch.setattr(reproduce, "score_of_run", lambda *_: "id_switches")
+    filmed = json.loads(modsim3d(*film, "--overwrite", "--json").out)["film"]
+    assert (filmed["from_s"], filmed["to_s"]) == (4, 5) and worst.moment_s != 4.5
 
 
 def test_an_interrupted_run_is_gone_on_with_and_another_run_or_tracker_is_refused(again, tmp_path, monkeypatch):

@@ -211,7 +211,7 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
     if each.moment_s is not None:
         yield moment_block(folder, each.number, each.tracker, each.moment_s, each.score)
     advance(1)
-    for name, line in (("Make it again:", each.again), ("Film where most is wrong:", each.film)):
+    for name, line in (("Make it again:", each.again), ("Film:", each.film)):
         if line:
             yield Text(name)
             yield Text(line, "code")
