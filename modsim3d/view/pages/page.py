@@ -108,7 +108,7 @@ h3 { margin: 1.4rem 0 0.4rem; } code { overflow-wrap: anywhere; }
 def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
     """A whole page from the HTML of its parts, with what it rests on in a line at the top and in full at the end."""
     content = with_contents("\n".join([top_line(rests_on), *body, provenance(rests_on)]))
-    content = f"<h1>{html.escape(title)}</h1>\n{content}"
+    content = unbroken(f"<h1>{html.escape(title)}</h1>\n{content}")
     style = STYLE + TABLE_STYLE + PROVENANCE_STYLE + PRINT_STYLE + sheet_style(title, mark_of(content))
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -116,6 +116,11 @@ def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
         f"<title>{html.escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
         f"<main>\n{content}\n</main>\n</body>\n</html>\n"
     )
+
+
+def unbroken(content: str) -> str:
+    """Content whose percent signs stay on the lines of their numbers."""
+    return content.replace(" %", "\u00a0%")
 
 
 def with_contents(content: str) -> str:

@@ -179,11 +179,14 @@ def detection_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict
     order = np.argsort(frame, kind="stable")
     drawn = order[frame[order] != NOBODY]
     vessel = np.where(rows.detection_vessel < 0, NONE, rows.detection_vessel)[drawn].astype(np.uint16)
+    confidence = number_column(rows.detections, "confidence")[drawn]
+    counted = np.rint(1000 * confidence)
+    counted -= counted / 1000 > confidence  # down, so that none reaches a threshold that it is below
     return {
         "drawnStart": Codes(starts(frame[drawn], frames.pages), by=ROW_BEFORE),
         "drawnVessel": vessel,
         "label": indices(rows.detections, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
-        "confidence": Codes(np.rint(1000 * number_column(rows.detections, "confidence")[drawn]).astype(np.uint16)),
+        "confidence": Codes(counted.astype(np.uint16)),
         "outcome": rows.outcomes[drawn],
         "kind": indices(rows.detections, "kind", KINDS)[drawn].astype(np.uint8),
         "box": Codes(in_quanta(rows.detection_boxes_px()[drawn], quantum), by="drawnVessel"),

@@ -19,7 +19,7 @@ from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages import provenance
-from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style, with_contents
+from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style, unbroken, with_contents
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 from modsim3d.view.report import count_tables
 from modsim3d.view.report.images import image_facts, keyframe_facts
@@ -64,7 +64,7 @@ SCRIPTS = (  # in the order in which they need each other; in the page they are 
     *("vessel_list.js", "moments.js", "strips.js", "moment_controls.js", "timeline.js", "lane_panel.js", "lanes.js"),
     *("differences.js", "difference_lanes.js", "above.js", "legend.js", "hint.js", "gestures.js", "focus.js"),
     *("hover.js", "numbers.js", "share.js", "loop.js", "playback.js", "keys.js", "key_help.js", "address.js"),
-    *("threshold.js", "gallery.js", "player.js", "start.js"),
+    *("kept_counts.js", "count_places.js", "threshold.js", "gallery.js", "player.js", "start.js"),
 )
 STYLES = (
     *("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css"),
@@ -110,7 +110,7 @@ def parts_folder(page: Path) -> Path:
 
 
 def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, differences: str) -> str:
-    script = "\n".join(map(_part, SCRIPTS))
+    script = re.sub(r"(?m)^ *//.*\n", "", "\n".join(map(_part, SCRIPTS)))  # without comments
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     data = [recording_html(recording, folder.name if folder else None) for recording in recordings]
     parts = {
@@ -126,8 +126,8 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         + sheet_style(text.title, mark_of(text.lead + text.notes + text.result + text.tables)),
         "lead": text.lead,
         "notes": text.notes,
-        "result": text.result,
-        "tables": text.tables,
+        "result": unbroken(text.result),
+        "tables": unbroken(text.tables),
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if text.lanes else "",
         "differences": "\n" + _part("differences.html").rstrip("\n") if differences else "",
         **{name: _part(f"{name}.html") for name in ("vessel_list", "note", "gallery")},
@@ -245,7 +245,7 @@ def _notes(run: StoredRun, every: int, out: Path) -> str:
 
 def note_on_steps(every: int) -> str:
     """A paragraph that says that only every K-th step is shown, K being 2 at least."""
-    return f"<p class=soft>One of {every:,} steps is shown; the tables count all of them.</p>"
+    return f'<p class="soft all-steps">One of {every:,} steps is shown; the tables count all of them.</p>'
 
 
 def _result(counts: count_tables.DetectorCounts) -> str:
@@ -258,7 +258,8 @@ def _result(counts: count_tables.DetectorCounts) -> str:
     if counts.bad_share <= LOUD_SHARE:
         return result
     return (
-        f"<p class=warning><strong>{in_percent(counts.bad_share, 1)} of the boxes do not fit their vessels.</strong> "
+        f'<p class="warning all-detections"><strong>{in_percent(counts.bad_share, 1)} of the boxes do not fit their '
+        "vessels.</strong> "
         f"{counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with their "
         f"vessel's annotated box; {counts.off_vessel:,} of them do not touch it. An evaluation that matches by IoU "
         f"counts each as a miss and a false positive.</p>\n{result}"

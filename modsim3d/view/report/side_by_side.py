@@ -118,7 +118,7 @@ def paired_detections(first: RunRows, second: RunRows) -> Rows:
 def _paired(name: str, first: RunRows, second: RunRows, given: Mask) -> tuple[str, ...]:
     one, other = first.detected[given], second.detected[given]
     counts = (len(one), *(int(np.sum(each)) for each in (one & other, one & ~other, ~one & other, ~one & ~other)))
-    return name, *map(str, counts)
+    return name, *map("{:,}".format, counts)
 
 
 SIDE_BY_SIDE_FILE = "side_by_side.html"
@@ -169,8 +169,8 @@ def write_side_by_side(
         name=f"{first.scene.name}: two runs",
         lead=html.escape(
             f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
-            f"They differ {times}; consecutive frames of a vessel count once."
-        ),
+        )
+        + f'They differ <span id="differing">{times}</span>; consecutive frames of a vessel count once.',
         notes=report.note_on_steps(every) if every > 1 else "",
         result=_result(compared, names),
         tables="\n".join([report.sections(parts), settings, rests_on]),

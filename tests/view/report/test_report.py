@@ -58,7 +58,7 @@ def test_page_holds_every_frame_silhouettes_and_counts_of_the_run(page, run_fold
         np.testing.assert_array_equal(columns["flags"][rows], (truth.annotated + 2 * truth.detected)[order])
         drawn = slice(*columns["drawnStart"][index : index + 2])
         assert [None if v == NONE else names_of[v] for v in columns["drawnVessel"][drawn]] == list(found.vessels)
-        np.testing.assert_allclose(columns["confidence"][drawn] / 1000, found.confidence, atol=5e-4)
+        assert all(((over := found.confidence - columns["confidence"][drawn] / 1000) >= 0) & (over < 1e-3))
         for boxes, boxes_px in (
             (columns["full"].reshape(-1, 4)[rows], truth.full_boxes_px[order]),
             (visible[seen], truth.visible_boxes_px[order][seen]),
@@ -97,7 +97,7 @@ def test_page_holds_every_frame_silhouettes_and_counts_of_the_run(page, run_fold
 
 def first_said(page):
     """Name, number and meaning of what the page says first, and the numbers of its warning of bad boxes, if any."""
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8").replace("\u00a0%", " %")
     assert text.index("<dl class=result>") < text.index('id="stage"')
     tiles = re.findall(r"<div><dt>(.*?)</dt><dd>([\d,]+)</dd><dd>(.*?)</dd></div>", text)
     pattern = r"<strong>([\d.]+ %) of the boxes do not fit .*?</strong>"

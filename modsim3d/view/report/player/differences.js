@@ -10,7 +10,11 @@ class Differences {
     this.found = Array.from(vessel, (of, row) => ({
       camera: camera[row], vessel: of, index: index[row], until: index[row] + long[row], outcomes: [outcomes[2 * row], outcomes[2 * row + 1]],
     }));
+    this.all = this.found;
   }
+
+  // Take others; without any those of all detections.
+  use(found) { this.found = found ?? this.all; }
 
   // Those of one camera, in order of time.
   of(camera) { return this.found.filter((each) => each.camera === camera); }

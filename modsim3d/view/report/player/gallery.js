@@ -24,11 +24,11 @@ class Gallery {
   // Look the mistakes of the camera up, if the gallery is open.
   async open() {
     const { player } = this, { recording, camera } = player;
-    if (!$('mistakes').open || (this.of?.recording === recording && this.of.camera === camera)) return;
-    this.of = { recording, camera };
+    if (!$('mistakes').open || (this.of?.recording === recording && this.of.camera === camera && this.of.columns === recording.columns)) return;
+    const of = this.of = { recording, camera, columns: recording.columns };
     $('mistakesCount').textContent = 'looking them up …';
     const found = await mistakesIn(recording, camera);
-    if (this.of.recording !== recording || this.of.camera !== camera) return;
+    if (this.of !== of) return;
     this.found = found;
     const kinds = MISTAKES.filter((kind) => found.some((each) => each.kind === kind));
     $('byKind').replaceChildren(new Option('all kinds', ''), ...kinds.map((kind) => new Option(kindOf(kind).name, kind)));

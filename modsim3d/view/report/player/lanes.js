@@ -18,6 +18,7 @@ class Lanes extends LanePanel {
     this.camera = camera;
     this.layOut(this.of(camera));
     $('lanesTitle').textContent = `Tracks${of}: ${this.lanes.length} of ${tracks.name}, in the order in which they begin`;
+    $('lanesTitle').append(element('span', { className: 'in-least', textContent: ': as they are, whatever the confidence' }));
   }
 
   // The performance states, pale, behind all lanes.

@@ -13,7 +13,7 @@ const TRUTH_COLUMNS = [
   ['annotated', (row) => row.annotated], ['detected', (row) => row.detected],
 ];
 const DETECTION_COLUMNS = [
-  ['detection', (_, place) => place], ['label', ({ label }) => label], ['confidence', ({ confidence }) => fixed(confidence, 3)],
+  ['detection', ({ number }) => number], ['label', ({ label }) => label], ['confidence', ({ confidence }) => fixed(confidence, 3)],
   ...SIDES.map((side, i) => [side, ({ box }) => fixed(box[i], 1)]),
   ['state', ({ state }) => state], ['kind', ({ kind }) => kind], ['vessel', ({ name }) => name], ['iou', ({ iou }) => iou], ['outcome', (row) => row.outcome],
 ];
@@ -43,7 +43,7 @@ function cellText(value) { return value === null || value === undefined ? '' : `
 // Tab-separated, as spreadsheets take it; a tab or a line break in a name would be another cell.
 function separated(columns, rows) {
   const clean = (value) => cellText(value).replace(/[\t\r\n]+/g, ' ');
-  return [columns.map(([name]) => name), ...rows.map((row, i) => columns.map(([, value]) => clean(value(row, i))))].map((line) => line.join('\t')).join('\n');
+  return [columns.map(([name]) => name), ...rows.map((row) => columns.map(([, value]) => clean(value(row))))].map((line) => line.join('\t')).join('\n');
 }
 
 class Numbers {
@@ -85,14 +85,14 @@ class Numbers {
   }
 
   fill(table, columns, rows) {
-    const cells = (row, i) => columns.map(([, value]) => {
-      const text = cellText(value(row, i));
+    const cells = (row) => columns.map(([, value]) => {
+      const text = cellText(value(row));
       return element('td', { textContent: text, className: /^[\d.]+$/.test(text) ? 'number' : '' });
     });
     const head = element('tr', {}, ...columns.map(([name]) => element('th', { scope: 'col', textContent: name })));
     table.tHead.replaceChildren(head);
     table.tBodies[0].replaceChildren(...rows.map((row, i) => {
-      const line = element('tr', {}, ...cells(row, i));
+      const line = element('tr', {}, ...cells(row));
       line.addEventListener('click', () => { // not where text was marked
         if (!getSelection().isCollapsed) return;
         this.player.choose(row.false ? null : row.vessel, row.false && this.index === this.player.index ? i : null);

@@ -30,7 +30,7 @@ class Pane {
   }
 
   // What the camera shows at a step.
-  frame(index) { return frameOf(this.recording, index, this.camera, this.recording.least); }
+  frame(index) { return frameOf(this.recording, index, this.camera); }
 
   draw(frame, shown, marked) {
     this.picture.draw(this.recording, frame.index, this.camera, shown, frame, marked);
@@ -64,8 +64,7 @@ class Pane {
   stay() { this.picture.view = viewWithin(this.picture.view, this.picture.aspect, this.size); }
 }
 
-// What a camera shows at a step, with the detections that have a least confidence.
-function frameOf(recording, index, camera, least = 0) {
-  const { truths, detections } = atLeast(least, recording.truths(index, camera), recording.detections(index, camera));
-  return { index, camera, shapes: recording.shapes(index, camera), truths, detections };
+// What a camera shows at a step.
+function frameOf(recording, index, camera) {
+  return { index, camera, shapes: recording.shapes(index, camera), truths: recording.truths(index, camera), detections: recording.detections(index, camera) };
 }

@@ -6,6 +6,31 @@ class Part {
   }
 }
 
+// The row of the detection of each row of the truth, −1 for none. A vessel that is detected without a box of its own is the other one
+// in a box of two: the one that covers it most.
+function detectionsIn(part, { kinds, outcomes: { FALSE_POSITIVE } }) {
+  if (part.found) return part.found;
+  const { truthStart, vessel, flags, full, drawnStart, drawnVessel, outcome, kind, box } = part.columns, merged = kinds.indexOf('merged');
+  const found = part.found = new Int32Array(vessel.length).fill(-1), own = new Map();
+  const side = (row, drawn, a) => Math.max(0, Math.min(full[4 * row + a + 2], box[4 * drawn + a + 2]) - Math.max(full[4 * row + a], box[4 * drawn + a]));
+  for (let frame = 0; frame + 1 < truthStart.length; frame++) {
+    const ofTwo = [];
+    own.clear();
+    for (let drawn = drawnStart[frame]; drawn < drawnStart[frame + 1]; drawn++) {
+      if (outcome[drawn] & FALSE_POSITIVE) continue;
+      own.set(drawnVessel[drawn], drawn);
+      if (kind[drawn] === merged) ofTwo.push(drawn);
+    }
+    for (let row = truthStart[frame]; row < truthStart[frame + 1]; row++) {
+      found[row] = own.get(vessel[row]) ?? -1;
+      if (found[row] >= 0 || !(flags[row] & 2) || !ofTwo.length) continue;
+      const covered = ofTwo.map((drawn) => side(row, drawn, 0) * side(row, drawn, 1));
+      [found[row]] = ofTwo.splice(covered.indexOf(Math.max(...covered)), 1);
+    }
+  }
+  return found;
+}
+
 class Outlines {
   constructor({ lineCount, cornerCount, corners }) {
     Object.assign(this, { corners, lineStart: beginnings(lineCount), cornerStart: beginnings(cornerCount) });

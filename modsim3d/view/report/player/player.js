@@ -166,10 +166,15 @@ class Player {
   changePane() {
     this.alarm = null;
     this.moments.recording = this.recording;
-    this.threshold?.count();
-    this.gallery?.open();
+    this.changeCounts();
+  }
+
+  // Other counts and moments of the whole run are to be shown.
+  changeCounts() {
     this.resize();
     this.momentRow.fill();
+    this.gallery.open();
+    this.threshold.say();
   }
 
   home() { this.stage.home(); this.draw(); }

@@ -16,7 +16,7 @@ async function openRecording(name) {
 
 class Recording {
   constructor(name, facts, columns) {
-    Object.assign(this, { name, facts, columns, length: facts.length, least: 0 });
+    Object.assign(this, { name, facts, columns, allColumns: columns, length: facts.length, least: 0 });
     this.rowsRead = 0; // how many rows were looked at, so that a test can see that a frame costs no more than itself
     this.still = new Outlines(columns);
     this.parts = new Map(); // by number: a part that is unpacked, or the promise of it; the one used last comes last
@@ -90,6 +90,9 @@ class Recording {
   }
 
   // ---- the whole run
+
+  // Take other counts and moments for those of the timeline: of the detections that have a least confidence.
+  count(columns) { Object.assign(this, { columns, overviews: [], found: new Map() }); }
 
   // What the timeline shows of a camera.
   overview(camera) {
@@ -167,11 +170,12 @@ class Recording {
   lines({ outline, outlines }) { return outlines.lines(outline, this.facts.quantum); }
 
   // The vessels that are in the image, farthest first.
-  truths(index, camera) { return this.rows('truthStart', index, camera, (columns, row) => this.truth(columns, row)); }
+  truths(index, camera) { return this.rows('truthStart', index, camera, (columns, row, part) => this.truth(columns, row, part)); }
 
-  truth(columns, row) {
-    const { vessel, flags, fraction, depth, hider } = columns;
-    const annotated = (flags[row] & 1) > 0, detected = (flags[row] & 2) > 0;
+  // A vessel whose detection has less than the least confidence is not detected.
+  truth(columns, row, part) {
+    const { vessel, flags, fraction, depth, hider, confidence } = columns, found = detectionsIn(part, this.facts)[row];
+    const annotated = (flags[row] & 1) > 0, detected = (flags[row] & 2) > 0 && !(confidence[found] / 1000 < this.least);
     const full = this.box(columns.full, row), visible = this.box(columns.visible, row);
     return {
       row, vessel: vessel[row], annotated, detected, missed: annotated && !detected,
@@ -191,12 +195,13 @@ class Recording {
     return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_SILHOUETTE, hiders };
   }
 
-  // What the detector put out.
+  // What the detector put out with the least confidence or more, each with its number in the frame.
   detections(index, camera) {
-    return this.rows('drawnStart', index, camera, ({ drawnVessel, label, confidence, outcome, kind, box }, row) => ({
+    const every = this.rows('drawnStart', index, camera, ({ drawnVessel, label, confidence, outcome, kind, box }, row) => ({
       vessel: drawnVessel[row] === NONE ? null : drawnVessel[row], label: this.facts.labels[label[row]], kind: this.facts.kinds[kind[row]],
       confidence: confidence[row] / 1000, box: this.box(box, row), ...this.mistakes(outcome[row]),
     }));
+    return every.map((each, number) => ({ number, ...each })).filter(({ confidence }) => confidence >= this.least);
   }
 
   // What is wrong with a detection: not the one of a vessel, another class than its vessel's, IoU below 0.5, a box that does not touch its vessel's.
