@@ -41,7 +41,8 @@ GROUP_NAMES = {
 """What tables call the groups of a breakdown."""
 _IN_FULL = Where.PAGE | Where.FULL
 JUDGED = (
-    "Occlusions survived: of those before which the tracker followed the vessel, so their number differs by tracker."
+    "Occlusions survived: of those before which the tracker followed the vessel, so their number differs by tracker; "
+    "a dash where there are none."
 )
 OF_SEEDS = "over detector seeds of this traffic; it says nothing about other traffic"
 PART_COLUMNS = COLUMNS[:5]
@@ -98,7 +99,7 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
             Where.PAGE,
         )
     judged = {score_outcome.survived_and_judged(found.occlusions)[1] for _, found in named_scores(scores)}
-    yield Text(JUDGED if len(judged) > 1 else "", "soft")
+    yield Text(JUDGED if len(judged) > 1 or 0 in judged else "", "soft")
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     yield Text(f"{of_run} {score_outcome.remarks_of(scores)}", "soft")
     yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])

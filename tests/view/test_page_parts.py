@@ -114,7 +114,7 @@ def test_what_belongs_together_is_below_each_other_and_long_keys_and_checksums_m
 
 def test_whatever_a_document_says_is_text_in_a_page_and_in_a_notebook() -> None:
     said, everywhere = '"><s>', doc.Where.EVERYWHERE
-    mixed = [[doc.Cell(said, 0.5, bar=True), said, f"1.5 {said}", said], ["a", "b", "2.5", "c"]]
+    mixed = [[doc.Cell(said, 0.5, bar=True), said, f"1.5 {said}", said, "1"], ["a", "b", "2.5", "c", "1"]]
     for block, in_page, in_notebook in (
         (doc.Heading(said), 1, 0),
         (doc.Text(said, where=everywhere), 1, 1),
@@ -124,7 +124,7 @@ def test_whatever_a_document_says_is_text_in_a_page_and_in_a_notebook() -> None:
         (doc.Tiles([(said, said, said)]), 3, 0),
         (doc.Figure(lambda: "", said), 1, 0),
         (doc.Fold(said, [doc.Text(said)]), 2, 0),
-        (doc.Table(said, [said] * 4, mixed, notes={0: said}, about=said, where=everywhere), 19, 9),
+        (doc.Table(said, [said] * 5, mixed, notes={0: said}, about=said, where=everywhere), 22, 10),
         (doc.Table(said, (), [(said, said)], where=everywhere), 3, 3),
     ):
         for written, count in ((html_of(block), in_page), (doc.Document("", [], [block]).notebook(), in_notebook)):

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from modsim3d.core.document import Cell, Row
 from modsim3d.core.text import is_number, is_numeric
 
-MIN_STACKED, MIN_DENSE = 4, 9  # columns of a table that is shown as a list of rows on a phone, or is printed small
+MIN_STACKED, MIN_DENSE = 5, 9  # columns of a table that is shown as a list of rows on a phone, or is printed small
 TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
@@ -27,6 +27,7 @@ td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wra
   .stack td:first-child { padding-left: 0; font-weight: 600; } .stack td:first-child::before { content: none; }
   .stack td[colspan] { padding-left: 0; font-weight: inherit; }
   .stack td:empty { display: none; }
+  .scroll:has(.stack) { max-height: 95vh; overflow-y: auto; border-bottom: 3px double var(--line); }
 }
 """
 """Style of numbers, and of tables on a phone; it stands behind that of the page."""

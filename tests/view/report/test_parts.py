@@ -220,7 +220,7 @@ def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other
 
 def test_paired_counts_are_of_all_and_other_truth_is_refused(mistaken_folder, other_folder, run_folder, tmp_path):
     rows = [RunRows.of(open_run(folder)) for folder in (mistaken_folder, other_folder)]
-    table = [list(map(int, row[1:])) for row in paired_detections(*rows)]
+    table = [[int(cell.replace(",", "")) for cell in row[1:]] for row in paired_detections(*rows)]
     assert table[-1] == np.sum(table[:-1], axis=0).tolist()
     annotated, both_runs, only_a, only_b, neither = table[-1]
     assert annotated == int(rows[0].annotated.sum()) == both_runs + only_a + only_b + neither

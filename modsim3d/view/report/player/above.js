@@ -56,7 +56,7 @@ class Above {
     for (const camera of new Set(shown)) if (cameras[camera]) this.view(cameras[camera]);
     facts.obstacles.forEach((rings, i) => this.area(rings, facts.colours.owners[facts.vessels.length + i]));
     const unit = Object.keys(RINGS).find((name) => layers[name]);
-    if (unit && cameras[shown[0]]) this.rings(cameras[shown[0]], unit, vessels.filter((place) => place).map(({ x, y }) => this.toCanvas(x, y)));
+    const radii = unit && cameras[shown[0]] ? this.rings(cameras[shown[0]], unit, vessels.filter((place) => place).map(({ x, y }) => this.toCanvas(x, y))) : [];
     for (const camera of new Set(shown)) if (cameras[camera]) this.bearings(recording, index, camera, cameras[camera], layers);
     this.trails(recording, index, facts);
     this.courses(recording, index, vessels, facts, chosen);
@@ -64,6 +64,7 @@ class Above {
     const draw = (vessel) => vessels[vessel] && this.vessel(vessels[vessel], vessel, facts, vessel === chosen);
     for (const vessel of vessels.keys()) if (vessel !== chosen) draw(vessel);
     if (chosen !== null) draw(chosen); // over the others, with its name
+    for (const name of radii) this.name(...name); // no vessel covers one
     this.scaleBar();
     if (facts.north) this.name('N ↑', this.width - 16, 16);
   }
@@ -132,8 +133,8 @@ class Above {
     context.fill();
   }
 
-  // Circles of round radii about a camera, as many on every step, each with its radius where it is lowest in sight, clear of
-  // vessels and of the scale where that can be.
+  // Circles of round radii about a camera, as many on every step. Returns where their radii are to be written: each where it is
+  // lowest in sight, clear of vessels and of the scale where that can be.
   rings({ x, y }, unit, vessels) {
     const { context, width, height } = this, [atX, atY] = this.toCanvas(x, y), pixels = RINGS[unit] * this.scale;
     const least = Math.hypot(width, height) / pixels / RINGS_ACROSS, power = 10 ** Math.floor(Math.log10(least));
@@ -159,7 +160,7 @@ class Above {
       const place = seen.find(clear) ?? seen[0];
       if (place) names.push([`${Number((ring * step).toPrecision(6))} ${unit}`, place[0], place[1] + 4, RADIUS_PX]);
     }
-    for (const name of names) this.name(...name);
+    return names;
   }
 
   // The closed lines of an obstacle; inner ones are holes.
