@@ -38,9 +38,9 @@ function drawPlates(picture) {
     const place = places.find(clear);
     if (place) placed.push({ ...place, wide, text, colour, left, of: { vessel, alarm, lane } });
   }
-  for (const { x, y, left, edge, colour, of } of placed) {
+  for (const { x, y, wide, left, edge, colour, of } of placed) {
     picture.setOff(of);
-    if (y + PLATE_PX < edge - 4 || y > edge + 4) drawLeader(picture, x + 3, y + PLATE_PX / 2, Math.max(left, 0), edge, colour);
+    if (y + PLATE_PX < edge - 4 || y > edge + 4) drawLeader(picture, clamped(left, x + 3, x + wide - 3), y + PLATE_PX / 2, Math.max(left, 0), edge, colour);
   }
   for (const { x, y, wide, text, colour, of } of placed) {
     picture.setOff(of);
