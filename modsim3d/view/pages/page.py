@@ -5,6 +5,7 @@ import hashlib
 import html
 import re
 from collections.abc import Iterable, Sequence
+from importlib.resources import files
 from itertools import count
 from typing import Any
 
@@ -12,40 +13,21 @@ from PIL.Image import Image
 
 from modsim3d.core import document as doc
 from modsim3d.io.atomic_write import encoded
-from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import TABLE_STYLE, breaking, facts, table, with_code
+from modsim3d.view.pages.provenance import Provenance, provenance, top_line
+from modsim3d.view.pages.tables import breaking, facts, table, with_code
 
-# ---- How pages are printed ----
+# ---- The style of pages, and how they are printed ----
 
-LIGHT = (  # colours of paper, for both kinds of pages
-    "--ink: #1c2329; --paper: #ffffff; --soft: #56606a; --line: #c4cacf; --bad: #b3261e; "
-    "--card: #ffffff; --track: #eceef0;"
-)
 
-PRINT_STYLE = """
-@media not print { .in-print { display: none; } }
-@media print {
-  :root, :root[data-theme] { color-scheme: light; LIGHT }
-  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-  body { font-size: 10pt; max-width: none; margin: 0; padding: 0; }
-  h1 { font-size: 15pt; } h2 { font-size: 12pt; } h3 { font-size: 10.5pt; }
-  h1, h2, h3, summary { break-after: avoid; }
-  p { orphans: 3; widows: 3; }
-  table { font-size: 8pt; } thead { display: table-header-group; }
-  td, th { padding-right: 0.6rem; }
-  tr, figure, svg, img, dl > div, .rests-on { break-inside: avoid; }
-  figure svg:has(+ svg), figure svg + svg, body .plots figure { width: 48%; }
-  .rests-on > p.soft, .signature { break-before: avoid; break-inside: avoid; }
-  h3 + p.soft { break-after: avoid; } table.dense { font-size: 7pt; } .dense .whole { white-space: normal; }
-  figure img, figure svg, svg { max-width: 100%; max-height: 24cm; }
-  details::details-content { content-visibility: visible; display: block; block-size: auto; overflow: visible; }
-  summary { list-style: none; font-weight: 600; } summary::-webkit-details-marker { display: none; }
-  div[style*="overflow"], .scroll { overflow: visible !important; }
-  .not-in-print, .player, noscript, button { display: none !important; }
-  a { color: inherit; text-decoration: none; }
-}
-""".replace("LIGHT", LIGHT)
-"""Style of printed pages; it stands behind the style of the screen."""
+def shipped_text(*names: str) -> str:
+    """Text of a file below the folder of this room, by the names on its path."""
+    return files("modsim3d.view").joinpath(*names).read_text(encoding="utf-8")
+
+
+def common_style(title: str, content: str) -> str:
+    """Style of tables, of what a page rests on, and of paper; it stands behind the rest of a page's style."""
+    shared = ("\n" + shipped_text("pages", name) for name in ("tables.css", "provenance.css", "print.css"))
+    return "".join(shared) + sheet_style(title, mark_of(content))
 
 
 def mark_of(content: str) -> str:
@@ -71,45 +53,13 @@ def _css_text(text: str) -> str:
 
 MIN_CONTENTS = 4  # sections of a page that has links to them
 _SECTION = re.compile(r"<h2[^>]*>(.*?)</h2>")
-STYLE = """
-:root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6e8ea; --paper: #15191d; --soft: #9aa4ad; --line: #363d44; --bad: #ff7a70; }
-}
-body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
-       max-width: 72rem; margin: 2rem auto; padding: 0 1rem; overflow-wrap: break-word; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
-p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--bad); font-weight: 600; }
-p, li, figcaption { max-width: 60rem; } li { margin: 0.2rem 0; }
-table { border-collapse: collapse; margin: 0.8rem 0; }
-th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
-summary { cursor: pointer; padding: 0.25rem 0; }
-.scroll { overflow-x: auto; } .scroll:focus-visible { outline-offset: -2px; }
-figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
-.pictures { display: grid; gap: 0.6rem; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); }
-figcaption { color: var(--soft); font-size: 0.95rem; }
-.beside { display: flex; flex-wrap: wrap; gap: 0 2.5rem; } .beside > div { min-width: 0; max-width: 34rem; }
-.contents ul { display: flex; flex-wrap: wrap; gap: 0.2rem 1.2rem; padding: 0; list-style: none; max-width: none; }
-a { color: light-dark(#0b5cad, #7db8f0); }
-h3 { margin: 1.4rem 0 0.4rem; } code { overflow-wrap: anywhere; }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(9.5rem, 1fr)); gap: 0.6rem; margin: 1rem 0; }
-.tiles div { border: 1px solid var(--line); border-radius: 8px; padding: 0.4rem 0.7rem; }
-.tiles dt { color: var(--soft); font-size: 0.88rem; }
-.tiles dd { margin: 0; font-size: 0.82rem; line-height: 1.35; color: var(--soft); }
-.tiles dt + dd { color: var(--ink); font-size: 1.4rem; font-weight: 600; font-variant-numeric: tabular-nums; }
-@media screen and (max-width: 40rem) {
-  body { margin: 1rem auto; }
-  svg.long { width: 40rem; max-width: none !important; }
-  ul { padding-left: 1.2rem; }
-}
-"""
 
 
 def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
     """A whole page from the HTML of its parts, with what it rests on in a line at the top and in full at the end."""
     content = with_contents("\n".join([top_line(rests_on), *body, provenance(rests_on)]))
     content = unbroken(f"<h1>{html.escape(title)}</h1>\n{content}")
-    style = STYLE + TABLE_STYLE + PROVENANCE_STYLE + PRINT_STYLE + sheet_style(title, mark_of(content))
+    style = "\n" + shipped_text("pages", "page.css") + common_style(title, content)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -129,20 +129,6 @@ def _inputs(inputs: Sequence[Input]) -> str:
     return "\n".join(['<table class="stack inputs">', head, "<tbody>", *lines, "</tbody>", "</table>"])
 
 
-PROVENANCE_STYLE = """
-.top-line { margin: -0.6rem 0 1rem; font-size: 0.9rem; }
-.rests-on th { font-weight: 600; vertical-align: top; text-align: left; }
-.rests-on .facts th { min-width: min(9rem, 28vw); }
-.rests-on td { vertical-align: top; overflow-wrap: anywhere; }
-.rests-on code { font-size: 0.92em; }
-.digest { font: 0.82em ui-monospace, monospace; overflow-wrap: anywhere; }
-@media screen and (max-width: 40rem) { .rests-on .facts th { width: 38%; overflow-wrap: anywhere; } }
-@media screen and (min-width: 64rem) { .digest { white-space: nowrap; } }
-.lines { display: flex; gap: 1.5rem; margin-top: 2.2cm; }
-.lines div { flex: 1; border-top: 1px solid var(--ink); padding-top: 0.2rem; font-size: 0.85rem; }
-"""
-
-
 # ---- A run directory as an input of a page ----
 
 CHANGED = "not the file that the run wrote: run.json has another checksum"

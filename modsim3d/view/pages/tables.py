@@ -9,28 +9,6 @@ from modsim3d.core.document import Cell, Row
 from modsim3d.core.text import is_number, is_numeric
 
 MIN_STACKED, MIN_DENSE = 5, 9  # columns of a table that is shown as a list of rows on a phone, or is printed small
-TABLE_STYLE = """
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-.facts th { font-weight: 400; text-align: left; vertical-align: top; }
-td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wrap: anywhere; }
-.whole, .option { white-space: nowrap; }
-.bar { display: inline-block; width: 3.5rem; height: 0.7rem; margin-right: 0.5rem; border-radius: 2px;
-  background: linear-gradient(to right, #3f94c4 calc(100% * var(--share)), var(--empty) 0);
-  --empty: color-mix(in srgb, var(--line) 50%, transparent); }
-@media screen and (min-width: 40.01rem) { .dense .whole { display: block; } }
-@media screen and (max-width: 40rem) {
-  td, th { padding-right: 0.7rem; } td.number { white-space: normal; } .pad { display: none; }
-  table.stack, .stack tbody, .stack tr { display: block; } .stack thead { display: none; }
-  .stack tr { border-bottom: 1px solid var(--line); padding: 0.4rem 0; }
-  .stack td, .stack td.number { display: flow-root; border: 0; padding: 0 0 0 44%; text-align: left; }
-  .stack td::before { content: attr(data-label); float: left; width: 75%; margin-left: -78.57%; color: var(--soft); }
-  .stack td:first-child { padding-left: 0; font-weight: 600; } .stack td:first-child::before { content: none; }
-  .stack td[colspan] { padding-left: 0; font-weight: inherit; }
-  .stack td:empty { display: none; }
-  .scroll:has(.stack) { max-height: 95vh; overflow-y: auto; border-bottom: 3px double var(--line); }
-}
-"""
-"""Style of numbers, and of tables on a phone; it stands behind that of the page."""
 FILL = "#0072b2"  # of cells that show a share
 _DIGIT, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
 _NUMBER = re.compile(

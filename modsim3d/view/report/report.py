@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,8 @@ from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages import provenance
-from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style, unbroken, with_contents
-from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
+from modsim3d.view.pages.page import common_style, folded, heading, shipped_text, unbroken, with_contents
+from modsim3d.view.pages.tables import facts, table
 from modsim3d.view.report import count_tables
 from modsim3d.view.report.images import image_facts, keyframe_facts
 from modsim3d.view.report.packing import as_text
@@ -120,10 +119,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'{FILES if folder else ''}; "
         f"style-src 'unsafe-inline'; img-src data:{FILES if 'images' in recordings[0].facts else ''}",
         "style": "".join(map(_part, STYLES))
-        + TABLE_STYLE
-        + provenance.PROVENANCE_STYLE
-        + PRINT_STYLE
-        + sheet_style(text.title, mark_of(text.lead + text.notes + text.result + text.tables)),
+        + common_style(text.title, text.lead + text.notes + text.result + text.tables),
         "lead": text.lead,
         "notes": text.notes,
         "result": unbroken(text.result),
@@ -141,7 +137,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
 
 
 def _part(name: str) -> str:
-    return (files("modsim3d.view.report") / "player" / name).read_text(encoding="utf-8")
+    return shipped_text("report", "player", name)
 
 
 REPORT_FILE = "report.html"
