@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -167,6 +168,7 @@ def composed(text: str) -> str:
     return text if text.isascii() else unicodedata.normalize("NFC", text)
 
 
+@cache
 def data_folder(kind: str) -> Path:
     """The folder of shipped `scenes` or `meshes`: in the installed package, or at the top of the repository."""
     package = Path(__file__).resolve().parents[1]

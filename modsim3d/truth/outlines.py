@@ -265,7 +265,7 @@ def _projected_areas(pixels: Array, solid: Solid) -> Array:
 
 
 INSIDE = 2 * np.pi  # a closed mesh subtends the whole sphere of 4π at a point inside, and 0 at a point outside
-MAX_TRIANGLES = 100_000  # most triangles times points that are looked at together; it bounds the memory
+MAX_TRIANGLES = 30_000  # most triangles times points that are looked at together; more leave the processor's cache
 
 
 def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, int] | None:

@@ -8,6 +8,7 @@ import stat
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO, Literal
 
@@ -38,6 +39,7 @@ class MeshEntry(Strict):
     up: Axis | None = None
 
 
+@cache
 def shipped_meshes() -> dict[str, Path]:
     """Files of the shipped meshes, by name."""
     return {path.stem: path for path in sorted(data_folder("meshes").glob("*.glb"))}
