@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -151,8 +152,9 @@ def json_text(content: Any) -> bytes:
 
 def encoded(picture: Image | ArrayLike, ending: str = ".png", **options: Any) -> bytes:
     """The content of a PNG or JPEG file of a picture without a palette or an array; options are of the format."""
-    import imageio.v3 as iio
     import numpy as np
+    from PIL import Image  # by imageio, Pillow would first import its readers of all formats
 
-    content: bytes = iio.imwrite("<bytes>", np.asarray(picture), extension=ending, **options)
-    return content
+    content = io.BytesIO()
+    Image.fromarray(np.asarray(picture)).save(content, "PNG" if ending == ".png" else "JPEG", **options)
+    return content.getvalue()

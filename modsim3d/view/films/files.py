@@ -1,4 +1,4 @@
-"""Films on disk: MP4 through imageio and ffmpeg, PNG through imageio, GIF through `gif`."""
+"""Films on disk: MP4 through ffmpeg by imageio, PNG, GIF by `gif`."""
 
 from __future__ import annotations
 
