@@ -30,8 +30,8 @@ settings.load_profile("repeatable")
 # the processors from the other tests. Not by a variable, which programs that tests start would inherit.
 threadpool_limits(1, user_api="blas")
 
-# Typer prepares all commands anew for each call of its CliRunner, for a tenth of a second; they do not change.
-typer.testing._get_command = functools.cache(typer.main.get_command)
+# Typer prepares commands anew for each call, all of them for a tenth of a second; they do not change.
+typer.main.get_command = typer.testing._get_command = functools.cache(typer.main.get_command)
 
 os.fsync = lambda _: None  # no test cuts the power, and the disk would take milliseconds for each of ten thousand files
 

@@ -9,6 +9,7 @@ the variable `FIRST` names a file of Python, that is run first, in the process o
 
 import atexit
 import contextlib
+import functools
 import gc
 import json
 import os
@@ -21,10 +22,13 @@ import threading
 from pathlib import Path
 from typing import NoReturn
 
+import typer
 from pydantic import BaseModel
+from typer.core import TyperCommand, TyperGroup
 
 import modsim3d
 from benchmarks.faults.commands import prepare
+from modsim3d.cli import main as cli
 from modsim3d.io.validation import Strict
 from modsim3d.render.context import choose_backend, prepare_environment
 
@@ -63,6 +67,9 @@ def serve(folder: Path) -> None:
     os.fsync = lambda _: None
     for model in models(Strict):
         model.model_rebuild()
+    typer.main.get_command = functools.cache(typer.main.get_command)
+    for _, name, *_ in cli.COMMANDS:
+        parse(typer.main.get_command(cli._asked(name.split()[0])))
     prepare()  # once more, because it makes sure that no library has started a thread
     gc.freeze()  # what is imported stays, and no command looks through it
     with socket.socket(socket.AF_UNIX) as listening:
@@ -96,6 +103,14 @@ def models(of: type[BaseModel]) -> list[type[BaseModel]]:
     return [of, *(each for derived in of.__subclasses__() for each in models(derived))]
 
 
+def parse(command: TyperCommand | TyperGroup) -> None:
+    """Prepare the options of a command, and those of the commands of a group."""
+    for parameter in command.params:
+        parameter.get_runtime_param()
+    for each in getattr(command, "commands", {}).values():
+        parse(each)
+
+
 def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
     """Run the command of a client in a process of its own; a client that goes away takes it along. Of the environment
     of this process the command has only what preparing has added to the variables `inherited`."""
@@ -121,10 +136,8 @@ def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
         sys.argv = ["modsim3d", *arguments]
         if first := environment.get("FIRST"):
             exec(Path(first).read_text(encoding="utf-8"), {})
-        from modsim3d.cli.main import main
-
         try:
-            main()
+            cli.main()
         except SystemExit as ended:
             leave(int(ended.code or 0))
     for file in (0, 1, 2, *files):  # a reader of the command's output waits until nobody can write to it

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
-from functools import wraps
+from functools import cache, wraps
 from inspect import Parameter, signature
 from itertools import takewhile
 from typing import Annotated, Any
@@ -283,9 +283,10 @@ def _app_of(commands: Iterable[Entry]) -> typer.Typer:
 app = _app_of(COMMANDS)
 
 
-def _asked(arguments: Sequence[str]) -> typer.Typer:
+@cache
+def _asked(first: str) -> typer.Typer:
     """The command line with what the first argument names only, since typer takes 2 ms to prepare each command."""
-    named = [entry for entry in COMMANDS if entry[1].split()[0] in arguments[:1]]
+    named = [entry for entry in COMMANDS if entry[1].split()[0] == first]
     return _app_of(named) if named else app
 
 
@@ -319,7 +320,7 @@ def _status() -> int:
     try:
         check_memory()
         check_arguments(sys.argv[1:])
-        _asked(sys.argv[1:])(prog_name=_program_name(), complete_var=COMPLETE_VARIABLE)
+        _asked("".join(sys.argv[1:2]))(prog_name=_program_name(), complete_var=COMPLETE_VARIABLE)
     except SystemExit as ended:
         return int(ended.code or 0)
     except ModsimError as error:
