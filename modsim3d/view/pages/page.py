@@ -136,13 +136,13 @@ def folded(title: str, content: str, opened: bool = False) -> str:
     return f"<details{' open' if opened else ''}><summary>{html.escape(title)}</summary>\n{content}\n</details>"
 
 
-def tiles(results: Sequence[tuple[str, str, str]]) -> str:
-    """The main results side by side: a name, a number and what it means of each."""
+def tiles(results: Iterable[Sequence[str]], kind: str = "tiles") -> str:
+    """The main results side by side: a name, a number and what it means of each. `kind` is their class."""
     each = (
         f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(number)}</dd><dd>{html.escape(meaning)}</dd></div>"
         for name, number, meaning in results
     )
-    return '<dl class="tiles">\n' + "\n".join(each) + "\n</dl>"
+    return f'<dl class="{kind}">\n' + "\n".join(each) + "\n</dl>"
 
 
 def image(picture: Image, alt: str, kind: str = "png", **options: Any) -> str:

@@ -15,10 +15,11 @@ import orjson
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.core.text import counted, in_percent
 from modsim3d.io.atomic_write import put_folder_in_place, write_files
+from modsim3d.runs.counts import Counts
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages import provenance
-from modsim3d.view.pages.page import common_style, folded, heading, shipped_text, unbroken, with_contents
+from modsim3d.view.pages.page import common_style, folded, heading, shipped_text, tiles, unbroken, with_contents
 from modsim3d.view.pages.tables import facts, table
 from modsim3d.view.report import count_tables
 from modsim3d.view.report.images import image_facts, keyframe_facts
@@ -57,18 +58,6 @@ def json_in_html(value: object) -> str:
 
 PART_FILES = "*-*.js"  # files of parts beside the page
 FILES = " 'self' file:"  # where they come from: a server or a disk
-SCRIPTS = (  # in the order in which they need each other; in the page they are one script
-    *("elements.js", "colours.js", "words.js", "columns.js", "overview.js", "parts.js", "recording.js", "kinds.js"),
-    *("highlight.js", "plates.js", "picture.js", "track_picture.js", "bounds.js", "pane.js", "stage.js", "closeup.js"),
-    *("vessel_list.js", "moments.js", "strips.js", "moment_controls.js", "timeline.js", "lane_panel.js", "lanes.js"),
-    *("differences.js", "difference_lanes.js", "above.js", "legend.js", "hint.js", "gestures.js", "focus.js"),
-    *("hover.js", "numbers.js", "share.js", "loop.js", "playback.js", "keys.js", "key_help.js", "address.js"),
-    *("kept_counts.js", "count_places.js", "threshold.js", "gallery.js", "player.js", "start.js"),
-)
-STYLES = (
-    *("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css"),
-    *("actions.css", "keys.css", "lanes.css", "panes.css"),
-)
 
 
 @dataclass(frozen=True)
@@ -109,7 +98,7 @@ def parts_folder(page: Path) -> Path:
 
 
 def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, differences: str) -> str:
-    script = re.sub(r"(?m)^ *//.*\n", "", "\n".join(map(_part, SCRIPTS)))  # without comments
+    script = re.sub(r"(?m)^ *//.*\n", "", "\n".join(map(_part, _part("scripts.txt").split())))  # without comments
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     data = [recording_html(recording, folder.name if folder else None) for recording in recordings]
     parts = {
@@ -118,7 +107,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         # No script but this one and the parts' files runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'{FILES if folder else ''}; "
         f"style-src 'unsafe-inline'; img-src data:{FILES if 'images' in recordings[0].facts else ''}",
-        "style": "".join(map(_part, STYLES))
+        "style": "".join(map(_part, _part("styles.txt").split()))
         + common_style(text.title, text.lead + text.notes + text.result + text.tables),
         "lead": text.lead,
         "notes": text.notes,
@@ -244,21 +233,19 @@ def note_on_steps(every: int) -> str:
     return f'<p class="soft all-steps">One of {every:,} steps is shown; the tables count all of them.</p>'
 
 
-def _result(counts: count_tables.DetectorCounts) -> str:
+def _result(counts: Counts) -> str:
     """The counts of what the detector did, under a warning where many of its boxes do not fit."""
-    tiles = "\n".join(
-        f"<div><dt>{html.escape(name)}</dt><dd>{count}</dd><dd>{html.escape(meaning)}</dd></div>"
-        for name, count, meaning in counts.named()
+    result, share = (
+        tiles(count_tables.named_counts(counts), "result"),
+        counts.below_half_iou / max(counts.true_detections, 1),
     )
-    result = f"<dl class=result>\n{tiles}\n</dl>"
-    if counts.bad_share <= LOUD_SHARE:
+    if share <= LOUD_SHARE:
         return result
     return (
-        f'<p class="warning all-detections"><strong>{in_percent(counts.bad_share, 1)} of the boxes do not fit their '
-        "vessels.</strong> "
-        f"{counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with their "
-        f"vessel's annotated box; {counts.off_vessel:,} of them do not touch it. An evaluation that matches by IoU "
-        f"counts each as a miss and a false positive.</p>\n{result}"
+        f'<p class="warning all-detections"><strong>{in_percent(share, 1)} of the boxes do not fit their vessels.'
+        f"</strong> {counts.below_half_iou:,} of {counts.true_detections:,} true detections have IoU below 0.5 with "
+        f"their vessel's annotated box; {counts.off_vessel:,} of them do not touch it. An evaluation that matches by "
+        f"IoU counts each as a miss and a false positive.</p>\n{result}"
     )
 
 

@@ -17,7 +17,7 @@ from modsim3d.view.pages.page import heading
 from modsim3d.view.pages.provenance import Provenance, provenance, run_inputs, run_seeds, run_versions
 from modsim3d.view.pages.tables import table
 from modsim3d.view.report import report
-from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_values
+from modsim3d.view.report.count_tables import VESSEL_HEADER, CountTables, Rows, named_counts, named_values
 from modsim3d.view.report.overview import OutcomeStretches
 from modsim3d.view.report.packing import ROW_BEFORE, Codes, Column, packed
 from modsim3d.view.report.recorder import recording
@@ -150,7 +150,7 @@ def write_side_by_side(
         for run, name, counts in zip(runs, "AB", tables, strict=True)
     ]
     found = differences(recordings[0].outcomes, recordings[1].outcomes)
-    pairs = zip(tables[0].total.named(), tables[1].total.named(), strict=True)
+    pairs = zip(*(named_counts(each.total) for each in tables), strict=True)
     compared: Rows = [(name, one, share, other, second_share) for (name, one, share), (_, other, second_share) in pairs]
     paired = paired_detections(*(RunRows.of(run) for run in runs))
     parts = [

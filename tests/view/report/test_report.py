@@ -98,7 +98,7 @@ def test_page_holds_every_frame_silhouettes_and_counts_of_the_run(page, run_fold
 def first_said(page):
     """Name, number and meaning of what the page says first, and the numbers of its warning of bad boxes, if any."""
     text = page.read_text(encoding="utf-8").replace("\u00a0%", " %")
-    assert text.index("<dl class=result>") < text.index('id="stage"')
+    assert text.index('<dl class="result">') < text.index('id="stage"')
     tiles = re.findall(r"<div><dt>(.*?)</dt><dd>([\d,]+)</dd><dd>(.*?)</dd></div>", text)
     pattern = r"<strong>([\d.]+ %) of the boxes do not fit .*?</strong>"
     pattern += r" ([\d,]+) of ([\d,]+) true .*?; ([\d,]+) of them do not touch"
