@@ -93,8 +93,8 @@ def view_film(
     path = path or folder / kind if pictures else out_file(path, folder / f"{kind}.{file_format}")
     claim, showing = _claimed(path, selection.run, overwrite, pictures), ShownSteps.of(selection, file_format, speed)
     with claim, bar(path.name, len(showing.steps), showing.pace) as advance:
-        drawn = draw_film(selection, plan, file_format, path, speed=speed, workers=workers, progress=advance)
-    return Written((path,), ("{} × {} px, ".format(*drawn.size) + showing.pace, *notes))
+        size = draw_film(selection, plan, file_format, path, speed=speed, workers=workers, progress=advance)
+    return Written((path,), ("{} × {} px, ".format(*size) + showing.pace, *notes))
 
 
 def view_frame(

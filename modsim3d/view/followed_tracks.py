@@ -88,28 +88,22 @@ class FollowedTracks:
         )
 
 
-def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> FollowedTracks:
-    """Read tracks of a finished run from what `read_tracks` takes, and see which vessel each follows.
-    Raises ModsimError if the run is not finished or the tracks are wrong."""
+def followed_tracks(
+    tracks: StrPath | None, run: StoredRun, similarity: str | None, threshold: float | None
+) -> FollowedTracks | None:
+    """Tracks of a run with the vessels that they follow, of what `modsim3d.report` takes; None without tracks. Raises
+    ModsimError if the run is not finished or the tracks are wrong, and for a similarity without tracks."""
+    if tracks is None:
+        if (similarity, threshold) != (None, None):
+            raise ModsimError("--similarity and --threshold are for --tracks")
+        return None
+    compared, path = Similarity.parse(similarity, 0.5 if threshold is None else threshold), as_path(tracks, "tracks")
     if not run.finished:
         raise ModsimError(
             f"{run.folder} holds an interrupted run, and tracks need a finished one: go on with modsim3d run --resume"
         )
     rows = RunRows.of(run)
-    return FollowedTracks.of(read_tracks(path, run, rows), rows, similarity)
-
-
-def followed_tracks(
-    tracks: StrPath | None, run: StoredRun, similarity: str | None, threshold: float | None
-) -> FollowedTracks | None:
-    """Tracks of a run with the vessels that they follow, of what `modsim3d.report` takes; None without tracks. Raises
-    ModsimError as `read_followed_tracks`, and for a similarity without tracks."""
-    if tracks is None:
-        if (similarity, threshold) != (None, None):
-            raise ModsimError("--similarity and --threshold are for --tracks")
-        return None
-    compared = Similarity.parse(similarity, 0.5 if threshold is None else threshold)
-    return read_followed_tracks(as_path(tracks, "tracks"), run, compared)
+    return FollowedTracks.of(read_tracks(path, run, rows), rows, compared)
 
 
 def read_of_tracks(tracks: StrPath | None) -> list[Path]:

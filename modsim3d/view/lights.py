@@ -121,7 +121,7 @@ def lanterns(vessel: Vessel, speed_m_s: float) -> tuple[Lantern, ...]:
     rig = _Rig(vessel)
     kind, stands = kind_of(vessel), speed_m_s < STANDS_M_S
     if kind is Kind.OARS:
-        return (rig.all_round("torch", Colour.WHITE, rig.height_m),)
+        return (rig.all_round("torch", Colour.WHITE, vessel.air_draft_m),)
     if kind in (Kind.TRAWLING, Kind.FISHING):
         return _fishing(rig, kind, makes_way=not stands)
     if stands:
@@ -131,21 +131,21 @@ def lanterns(vessel: Vessel, speed_m_s: float) -> tuple[Lantern, ...]:
 
 def _power_driven(rig: _Rig, speed_m_s: float) -> tuple[Lantern, ...]:
     """Rule 23; Rule 24 too, as long as nothing is towed."""
-    if rig.length_m >= 50:
+    if rig.vessel.length_m >= 50:
         return (rig.masthead(rig.fore), rig.masthead(rig.after), *rig.sides(), rig.stern())
-    if rig.length_m >= 12:
+    if rig.vessel.length_m >= 12:
         return (rig.masthead(rig.fore), *rig.sides(), rig.stern())
-    white = rig.all_round("all-round", Colour.WHITE, rig.height_m)
-    if rig.length_m < 7 and not speed_m_s > SLOW_M_S:
+    white = rig.all_round("all-round", Colour.WHITE, rig.vessel.air_draft_m)
+    if rig.vessel.length_m < 7 and not speed_m_s > SLOW_M_S:
         return (white,)
     return (white, *rig.sides())
 
 
 def _sailing(rig: _Rig) -> tuple[Lantern, ...]:
     """Rule 25: the three lights of a vessel below 20 m are in one lantern at the top of the mast."""
-    if rig.length_m < 7:
+    if rig.vessel.length_m < 7:
         return (rig.all_round("torch", Colour.WHITE, rig.deck_m + 1.0),)
-    if rig.length_m < 20:
+    if rig.vessel.length_m < 20:
         return (*rig.sides(rig.top), rig.stern(rig.top))
     return (*rig.sides(), rig.stern())
 
@@ -157,16 +157,16 @@ def _fishing(rig: _Rig, kind: Kind, *, makes_way: bool) -> tuple[Lantern, ...]:
         rig.all_round("upper", Colour.GREEN if trawls else Colour.RED, rig.upper_m),
         rig.all_round("lower", Colour.WHITE, rig.upper_m - rig.apart_m),
     ]
-    if trawls and rig.length_m >= 50:
+    if trawls and rig.vessel.length_m >= 50:
         shown.append(rig.masthead(rig.after))
     return (*shown, *rig.sides(), rig.stern()) if makes_way else tuple(shown)
 
 
 def _anchored(rig: _Rig) -> tuple[Lantern, ...]:
     """Rule 30: one white light, and below 50 m no more; else one in the fore part and a lower one at the stern."""
-    if rig.length_m < 50:
-        return (rig.all_round("anchor", Colour.WHITE, rig.height_m),)
-    fore_m = min(rig.deck_m + 10.5, rig.height_m)
+    if rig.vessel.length_m < 50:
+        return (rig.all_round("anchor", Colour.WHITE, rig.vessel.air_draft_m),)
+    fore_m = min(rig.deck_m + 10.5, rig.vessel.air_draft_m)
     aft_m = max(fore_m - 4.5, 0.5 * fore_m)
     fore = rig.all_round("anchor", Colour.WHITE, fore_m, 0.4)
     return (fore, rig.all_round("anchor aft", Colour.WHITE, aft_m, -0.45))
@@ -179,29 +179,20 @@ class _Rig:
     vessel: Vessel
 
     @property
-    def length_m(self) -> float:
-        return self.vessel.length_m
-
-    @property
-    def height_m(self) -> float:
-        """Air draft; no light is higher."""
-        return self.vessel.air_draft_m
-
-    @property
     def deck_m(self) -> float:
         """Height of the uppermost continuous deck, from which Annex I counts; as in the shipped meshes, roughly."""
-        return min(0.25 * self.height_m, 0.1 * self.length_m)
+        return min(0.25 * self.vessel.air_draft_m, 0.1 * self.vessel.length_m)
 
     @property
     def apart_m(self) -> float:
         """Distance between two lights, one above the other (Annex I, section 2 i)."""
-        return 2.0 if self.length_m >= 20 else 1.0
+        return 2.0 if self.vessel.length_m >= 20 else 1.0
 
     @property
     def upper_m(self) -> float:
         """Height of the upper light of a vessel that fishes; a long trawler has her masthead light above it."""
-        long_trawler = kind_of(self.vessel) is Kind.TRAWLING and self.length_m >= 50
-        return self.fore[2] * self.height_m if long_trawler else self.height_m
+        long_trawler = kind_of(self.vessel) is Kind.TRAWLING and self.vessel.length_m >= 50
+        return self.fore[2] * self.vessel.air_draft_m if long_trawler else self.vessel.air_draft_m
 
     @cached_property
     def top(self) -> tuple[float, float, float]:
@@ -220,34 +211,34 @@ class _Rig:
         A vessel of 20 m or more has it before midships. One of 50 m or more has it in the foremost quarter, as high
         above the deck as she is broad, but 6 to 12 m, and 4.5 m lower than the one abaft if her height allows that.
         If she has a foremast of at least this height there, it is at the top of the foremast."""
-        if self.length_m < 50:
-            return self.top if self.length_m < 20 or self.top[0] > 0 else (0.1, CENTRE_LINE, 1.0)
+        if self.vessel.length_m < 50:
+            return self.top if self.vessel.length_m < 20 or self.top[0] > 0 else (0.1, CENTRE_LINE, 1.0)
         wanted_m = self.deck_m + float(np.clip(self.vessel.beam_m, 6.0, 12.0))
-        most_m = max(self.height_m - 4.5, 0.6 * self.height_m)
+        most_m = max(self.vessel.air_draft_m - 4.5, 0.6 * self.vessel.air_draft_m)
         mast = self._highest(0.25)
-        if wanted_m <= mast[2] * self.height_m <= most_m:
+        if wanted_m <= mast[2] * self.vessel.air_draft_m <= most_m:
             return mast
-        return 0.3, CENTRE_LINE, min(wanted_m, most_m) / self.height_m
+        return 0.3, CENTRE_LINE, min(wanted_m, most_m) / self.vessel.air_draft_m
 
     @cached_property
     def after(self) -> tuple[float, float, float]:
         """Place of the after masthead light: at the full height, half the length behind the other, or 100 m."""
-        behind = min(0.5, 100.0 / self.length_m)
+        behind = min(0.5, 100.0 / self.vessel.length_m)
         return min(self.top[0], self.fore[0] - behind), CENTRE_LINE, 1.0
 
     def all_round(self, name: str, colour: Colour, height_m: float, v1: float | None = None) -> Lantern:
         """A light that is seen from everywhere, above the highest point unless `v1` says where."""
-        place = (self.top[0] if v1 is None else v1, CENTRE_LINE, height_m / self.height_m)
-        return Lantern(name, colour, Sector.ALL_ROUND, 2.0 if self.length_m < 50 else 3.0, place)
+        place = (self.top[0] if v1 is None else v1, CENTRE_LINE, height_m / self.vessel.air_draft_m)
+        return Lantern(name, colour, Sector.ALL_ROUND, 2.0 if self.vessel.length_m < 50 else 3.0, place)
 
     def masthead(self, place: tuple[float, float, float]) -> Lantern:
         miles = {12.0: 2.0, 20.0: 3.0, 50.0: 5.0}
-        seen_nm = next((miles[below] for below in miles if self.length_m < below), 6.0)
+        seen_nm = next((miles[below] for below in miles if self.vessel.length_m < below), 6.0)
         return Lantern("masthead", Colour.WHITE, Sector.MASTHEAD, seen_nm, place)
 
     def sides(self, place: tuple[float, float, float] | None = None) -> tuple[Lantern, Lantern]:
         """Sidelights, both at one place if it is given; else at the sides, below three quarters of the masthead."""
-        seen_nm = 1.0 if self.length_m < 12 else 2.0 if self.length_m < 50 else 3.0
+        seen_nm = 1.0 if self.vessel.length_m < 12 else 2.0 if self.vessel.length_m < 50 else 3.0
         v1, v3 = self._side_place()
         port, starboard = (place, place) if place else ((v1, 0.5, v3), (v1, -0.5, v3))
         return (
@@ -256,21 +247,25 @@ class _Rig:
         )
 
     def stern(self, place: tuple[float, float, float] | None = None) -> Lantern:
-        low = (-0.5, CENTRE_LINE, (self.deck_m + 0.1 * (self.height_m - self.deck_m)) / self.height_m)
-        return Lantern("stern", Colour.WHITE, Sector.STERN, 2.0 if self.length_m < 50 else 3.0, place or low)
+        low = (
+            -0.5,
+            CENTRE_LINE,
+            (self.deck_m + 0.1 * (self.vessel.air_draft_m - self.deck_m)) / self.vessel.air_draft_m,
+        )
+        return Lantern("stern", Colour.WHITE, Sector.STERN, 2.0 if self.vessel.length_m < 50 else 3.0, place or low)
 
     def _side_place(self) -> tuple[float, float]:
         """v1 and v3 of sidelights at the side of the hull (Annex I, sections 2 g, 2 j and 3 b)."""
-        kind, mast_m = kind_of(self.vessel), self.fore[2] * self.height_m
+        kind, mast_m = kind_of(self.vessel), self.fore[2] * self.vessel.air_draft_m
         if kind is Kind.SAIL:
-            return 0.1, min(self.deck_m + 1.0, self.height_m) / self.height_m
+            return 0.1, min(self.deck_m + 1.0, self.vessel.air_draft_m) / self.vessel.air_draft_m
         height_m = self.deck_m + 0.6 * (mast_m - self.deck_m)
         if kind in (Kind.TRAWLING, Kind.FISHING):  # twice as far below the lower light as that is below the upper one
             height_m = min(height_m, self.upper_m - 3 * self.apart_m)
-        if self.length_m < 20:
+        if self.vessel.length_m < 20:
             height_m = min(height_m, mast_m - 1.0)
-        v1 = 0.2 if self.length_m < 20 else min(self.top[0], self.fore[0])
-        return v1, max(height_m, 0.3 * mast_m) / self.height_m
+        v1 = 0.2 if self.vessel.length_m < 20 else min(self.top[0], self.fore[0])
+        return v1, max(height_m, 0.3 * mast_m) / self.vessel.air_draft_m
 
 
 # ---- Which lights a camera sees, where, and how strong ----

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
@@ -397,25 +397,17 @@ class RangeRings:
                 name.show(f"{radii[i]:g} {unit}", free[np.argmin(free[:, 1])])
 
 
-def draw_circles(sheet: MapSheet) -> None:
-    """Draw the circles of vessels in circular motion."""
-    for index, circle in enumerate(sheet.birds_eye.circles_m):
+def moving_marks(sheet: MapSheet) -> Iterator[VesselMark | CameraMark]:
+    """The vessels, over their circles: own ships first, then the longest, so that no other hides a short one; then the
+    cameras, which move where one of them is on board."""
+    birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
+    for index, circle in enumerate(birds_eye.circles_m):
         colour = palette.unit_rgb(palette.vessel_colour(index))
         sheet.line(circle, color=colour, lw=0.7, ls=":", zorder=3, label=sheet.once("circle"))
-
-
-def vessel_marks(sheet: MapSheet) -> list[VesselMark]:
-    """The vessels; own ships are drawn first, then the longest, so that no other hides a short one."""
-    scene = sheet.birds_eye.scene
     order = sorted(range(len(scene.vessels)), key=lambda i: (i not in scene.own_ships, -scene.vessels[i].length_m))
-    return [VesselMark(sheet, index) for index in order]
-
-
-def camera_marks(sheet: MapSheet) -> list[CameraMark]:
-    """The cameras; they move where one of them is on board."""
-    cameras, scene = sheet.birds_eye.cameras, sheet.birds_eye.scene
-    on_board = any(scene.cameras[index].mount.vessel is not None for index in cameras)
-    return [CameraMark(sheet, index, moves=on_board) for index in cameras]
+    yield from (VesselMark(sheet, index) for index in order)
+    on_board = any(scene.cameras[index].mount.vessel is not None for index in birds_eye.cameras)
+    yield from (CameraMark(sheet, index, moves=on_board) for index in birds_eye.cameras)
 
 
 def draw_obstacles(sheet: MapSheet) -> None:

@@ -66,10 +66,8 @@ class Map:
         axes.set_title(birds_eye.scene.name, fontsize=11)
         self.sheet = map_marks.MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
         self.sheet.moving.append(self.sheet.names.leaders)
-        map_marks.draw_circles(self.sheet)
-        vessels, cameras = map_marks.vessel_marks(self.sheet), map_marks.camera_marks(self.sheet)
-        marks = plan_marks.PlanMarks(self.sheet)
-        self._marks: list[Mark] = [*vessels, *cameras, marks]
+        self._marks: list[Mark] = list(map_marks.moving_marks(self.sheet))
+        self._marks.append(plan_marks.PlanMarks(self.sheet))
         if birds_eye.estimates is not None:
             self._marks.append(plan_marks.WorldTrackMarks(self.sheet))
         map_marks.draw_obstacles(self.sheet)

@@ -50,13 +50,9 @@ class Log:
         self.stream.set_time(STEP, sequence=step)
         self.stream.set_time(TIME, duration=float(self.scene.times_s(step, step + 1)[0]))
 
-    def thin(self) -> Any:
-        """Half the width of a thin line, for the SDK."""
-        return self.sdk.Radius.ui_points(THIN_PT)
-
-    def thick(self) -> Any:
-        """Half the width of a thick line, for the SDK."""
-        return self.sdk.Radius.ui_points(THICK_PT)
+    def half_width(self, points: float) -> Any:
+        """Half the width of a line on the screen, for the SDK."""
+        return self.sdk.Radius.ui_points(points)
 
 
 def image_path(camera: str) -> list[str]:
@@ -128,7 +124,7 @@ class BoxRecorder:
     def _truth(self, camera: str, missed: Mask, boxes_px: Array, tags: list[str]) -> None:
         """Log the boxes of the truth, and the missed ones again with their names."""
         colours = [palette.ALARM if lost else palette.TRUTH for lost in missed]
-        self._boxes(camera, "truth", boxes_px, colours, tags, radii=self.log.thin())
+        self._boxes(camera, "truth", boxes_px, colours, tags, radii=self.log.half_width(THIN_PT))
         lost = np.flatnonzero(missed)
         self._named(camera, MISSED, boxes_px[lost], [tags[i] for i in lost])
         self._count(camera, MISSED, len(lost))
@@ -175,7 +171,15 @@ class BoxRecorder:
                 tags[i] = ""
             else:
                 self._texts.append(place)
-        self._boxes(camera, name, boxes_px, [palette.ALARM] * len(tags), tags, show_labels=True, radii=self.log.thick())
+        self._boxes(
+            camera,
+            name,
+            boxes_px,
+            [palette.ALARM] * len(tags),
+            tags,
+            show_labels=True,
+            radii=self.log.half_width(THICK_PT),
+        )
 
     def _count(self, camera: str, name: str, count: int) -> None:
         self.log.put(["counts", camera, name], self.log.sdk.Scalars(float(count)))

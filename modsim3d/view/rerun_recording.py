@@ -169,9 +169,11 @@ class Pictures:
             colors=[palette.darker(colours[owner], EDGE) for owner in owners],
             labels=[scene.occluder_names[owner] for owner in owners],
             show_labels=False,
-            radii=self.log.thin(),
+            radii=self.log.half_width(rerun_boxes.THIN_PT),
         )
-        line = sdk.LineStrips2D(horizon_px(seen), colors=[(*palette.HORIZON, HALF)], radii=self.log.thin())
+        line = sdk.LineStrips2D(
+            horizon_px(seen), colors=[(*palette.HORIZON, HALF)], radii=self.log.half_width(rerun_boxes.THIN_PT)
+        )
         self.log.put([*path, "scene"], sdk.EncodedImage(contents=png(seen, colours), media_type="image/png"))
         self.log.put([*path, "horizon"], line)
         self.log.put([*path, "silhouettes"], lines)

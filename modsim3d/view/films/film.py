@@ -40,16 +40,6 @@ class ShownSteps:
         return cls(steps, timetable, f"{len(steps)} frames{pace}")
 
 
-@dataclass(frozen=True)
-class DrawnFilm:
-    """A film that was drawn: its file or folder of PNG files, width and height, number of frames, and pace."""
-
-    path: Path
-    size: tuple[int, int]
-    frames: int
-    timetable: Timetable
-
-
 def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
     with open_film_renderer(selection.run.scene, plan) as film_renderer:
@@ -68,10 +58,11 @@ def draw_film(
     speed: float = 1.0,
     workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda frames: None,
-) -> DrawnFilm:
+) -> tuple[int, int]:
     """Draw a film of one of `FORMATS` into a file, or a folder of PNG files, at `speed` seconds of the run in one
     second of the film. `workers` processes draw, with `auto` one for each CPU; their number does not change the film.
-    `progress` is called with the number of frames drawn since its last call."""
+    `progress` is called with the number of frames drawn since its last call.
+    Returns the film's width and height in pixels."""
     scene = selection.run.scene
     showing = ShownSteps.of(selection, kind, speed)
     repeats = dict(zip(selection.steps, showing.timetable.repeats.tolist(), strict=True))
@@ -86,7 +77,7 @@ def draw_film(
                     progress(1)
 
         write_film(kind, path, frames(), showing.timetable.rate, colours)
-    return DrawnFilm(path, plan.layout(scene).size, len(showing.steps), showing.timetable)
+    return plan.layout(scene).size
 
 
 def _gif_palette(selection: Selection, steps: Sequence[int], renderers: Workers[FilmRenderer]) -> Image.Image:

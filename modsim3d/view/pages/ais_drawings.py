@@ -231,11 +231,8 @@ def presence_chart(traffic: AisTraffic, caption: str) -> Figure:
     scale = (WIDTH - LANE_LEFT - 12) / span_s
     parts = [_lane(vessel, LANE_PX * (lane + 0.5), times, scale) for lane, vessel in enumerate(shown)]
     for seconds in nice_ticks(0.0, span_s, 8):
-        x = LANE_LEFT + seconds * scale
-        parts.append(
-            f'<text x="{x:.1f}" y="{height - 16:.1f}" text-anchor="middle" fill="var(--soft)">{seconds:g}</text>'
-        )
-    parts.append(f'<text x="{WIDTH - 12}" y="{height - 3:.1f}" text-anchor="end" fill="var(--soft)">seconds</text>')
+        parts.append(svg_text(LANE_LEFT + seconds * scale, height - 16, f"{seconds:g}", "middle"))
+    parts.append(svg_text(WIDTH - 12, height - 3, "seconds", "end"))
     return _wide(height, "when each vessel is in the scene", "\n".join(parts), caption)
 
 

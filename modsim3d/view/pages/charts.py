@@ -77,12 +77,10 @@ class Axes:
         lines = []
         for value, text in self.x_ticks or [(value, tick_text(value)) for value in nice_ticks(*self.x)]:
             px, _ = self.place(value, self.y[0])
-            place = f'x="{px:.1f}" y="{self.height - 20:.1f}"'
-            lines.append(f'<text {place} text-anchor="middle" fill="var(--soft)">{html.escape(text)}</text>')
+            lines.append(svg_text(float(px), self.height - 20, text, "middle"))
         for value in nice_ticks(*self.y):
             _, py = self.place(self.x[0], value)
-            place = f'x="{_MARGIN[0] - 4}" y="{py + 4:.1f}"'
-            lines.append(f'<text {place} text-anchor="end" fill="var(--soft)">{tick_text(value)}</text>')
+            lines.append(svg_text(_MARGIN[0] - 4, float(py) + 4, tick_text(value), "end"))
         return "".join(lines)
 
 
@@ -182,10 +180,7 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
             f'width="{max((stop - start) * scale, 0.6):.1f}" height="{lane - 4}" fill="{colours[state]}"/>'
         )
     for value in nice_ticks(origin, origin + span, 8):
-        parts.append(
-            f'<text x="{left + (value - origin) * scale:.1f}" y="{height - 6}" text-anchor="middle" '
-            f'fill="var(--soft)">{value:g} {unit}</text>'
-        )
+        parts.append(svg_text(left + (value - origin) * scale, height - 6, f"{value:g} {unit}", "middle"))
     return scrolling(svg(width, height, "performance states over time", "".join(parts), "long"))
 
 

@@ -25,21 +25,13 @@ def shipped_text(*names: str) -> str:
 
 
 def common_style(title: str, content: str) -> str:
-    """Style of tables, of what a page rests on, and of paper; it stands behind the rest of a page's style."""
+    """Style of tables, of what a page rests on, and of paper; it stands behind the rest of a page's style.
+    At the foot of each sheet stand the title, and a mark that all have in common: from the checksum of the content."""
     shared = ("\n" + shipped_text("pages", name) for name in ("tables.css", "provenance.css", "print.css"))
-    return "".join(shared) + sheet_style(title, mark_of(content))
-
-
-def mark_of(content: str) -> str:
-    """Mark that all sheets of a page have in common: the first digits of the checksum of its content."""
-    return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()[:12]
-
-
-def sheet_style(title: str, mark: str) -> str:
-    """Style of the sheets: at the foot of each stand the title, on the left, and the mark that all have in common."""
+    mark = hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()[:12]
     font = "font: 8pt system-ui, sans-serif; color: #56606a;"
     return (
-        f"@page {{ size: A4; margin: 15mm 15mm 18mm; "
+        f"{''.join(shared)}@page {{ size: A4; margin: 15mm 15mm 18mm; "
         f"@bottom-left {{ content: {_css_text(title)}; {font} }} "
         f"@bottom-center {{ content: {_css_text(mark)}; {font} }} "
         f'@bottom-right {{ content: counter(page) " / " counter(pages); {font} }} }}\n'
