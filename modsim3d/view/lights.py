@@ -247,11 +247,8 @@ class _Rig:
         )
 
     def stern(self, place: tuple[float, float, float] | None = None) -> Lantern:
-        low = (
-            -0.5,
-            CENTRE_LINE,
-            (self.deck_m + 0.1 * (self.vessel.air_draft_m - self.deck_m)) / self.vessel.air_draft_m,
-        )
+        low_m = self.deck_m + 0.1 * (self.vessel.air_draft_m - self.deck_m)
+        low = -0.5, CENTRE_LINE, low_m / self.vessel.air_draft_m
         return Lantern("stern", Colour.WHITE, Sector.STERN, 2.0 if self.vessel.length_m < 50 else 3.0, place or low)
 
     def _side_place(self) -> tuple[float, float]:

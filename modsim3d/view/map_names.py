@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.boxes import intersections
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -195,7 +196,8 @@ class _Page:
     def _free(self, name: MapName, middles: Array) -> Indices:
         """Indices of the places, shape (n, 2), that are free for a name, in their order."""
         places = middles[:, [0, 1, 0, 1]] + name.extent_px()
-        free: Indices = np.flatnonzero(_inside(places, self.frame) & ~overlapping(places, self.taken))
+        apart = (intersections(places[:, None], self.taken) == 0).all(axis=1)
+        free: Indices = np.flatnonzero(_inside(places, self.frame) & apart)
         things = np.concatenate([self.bodies[self.owners != name.vessel], self.ticks, self.dots])
         return free[~_met(shapely.box(*places[free].T), things)]
 
@@ -226,9 +228,3 @@ def _inside(places: Array, frame: Array) -> Mask:
     """Mask of the boxes, shape (n, 4), that lie inside another, shape (4,); shape (n,)."""
     inside: Mask = np.all((frame[:2] <= places[:, :2]) & (places[:, 2:] <= frame[2:]), axis=1)
     return inside
-
-
-def overlapping(places: Array, taken: Array) -> Mask:
-    """Mask of the boxes, shape (n, 4), that overlap one of some others, shape (k, 4); shape (n,)."""
-    low, high = places[:, None, :2], places[:, None, 2:]
-    return np.asarray(np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2).any(axis=1))

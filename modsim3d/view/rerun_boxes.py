@@ -171,15 +171,8 @@ class BoxRecorder:
                 tags[i] = ""
             else:
                 self._texts.append(place)
-        self._boxes(
-            camera,
-            name,
-            boxes_px,
-            [palette.ALARM] * len(tags),
-            tags,
-            show_labels=True,
-            radii=self.log.half_width(THICK_PT),
-        )
+        thick = self.log.half_width(THICK_PT)
+        self._boxes(camera, name, boxes_px, [palette.ALARM] * len(tags), tags, show_labels=True, radii=thick)
 
     def _count(self, camera: str, name: str, count: int) -> None:
         self.log.put(["counts", camera, name], self.log.sdk.Scalars(float(count)))

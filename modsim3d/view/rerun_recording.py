@@ -161,6 +161,7 @@ class Pictures:
 
     def _put(self, seen: ViewOutlines) -> None:
         sdk, path, scene = self.log.sdk, rerun_boxes.image_path(seen.camera.name), self.log.scene
+        thin = self.log.half_width(rerun_boxes.THIN_PT)
         owners = [each.occluder for each in seen.silhouettes for _ in each.rings_px]
         obstacles = [obstacle.name for obstacle in scene.obstacles]
         colours = palette.owner_colours(len(scene.vessels), obstacles, scene.own_ships)
@@ -169,11 +170,9 @@ class Pictures:
             colors=[palette.darker(colours[owner], EDGE) for owner in owners],
             labels=[scene.occluder_names[owner] for owner in owners],
             show_labels=False,
-            radii=self.log.half_width(rerun_boxes.THIN_PT),
+            radii=thin,
         )
-        line = sdk.LineStrips2D(
-            horizon_px(seen), colors=[(*palette.HORIZON, HALF)], radii=self.log.half_width(rerun_boxes.THIN_PT)
-        )
+        line = sdk.LineStrips2D(horizon_px(seen), colors=[(*palette.HORIZON, HALF)], radii=thin)
         self.log.put([*path, "scene"], sdk.EncodedImage(contents=png(seen, colours), media_type="image/png"))
         self.log.put([*path, "horizon"], line)
         self.log.put([*path, "silhouettes"], lines)

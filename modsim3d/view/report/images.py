@@ -82,16 +82,6 @@ def keyframe_facts(run: StoredRun, look: RenderStyle, shown: Recording, every: i
     return found
 
 
-def _pictures(folder: Path) -> list[Path]:
-    """The pictures of a folder, in the order of the numbers in their names."""
-    if not folder.is_dir():
-        raise InputError(f"--pictures {folder}", ["is no folder of pictures"])
-    files = [path for path in folder.iterdir() if path.suffix.lower() in KINDS]
-    if not files:
-        raise InputError(f"--pictures {folder}", [f"has no pictures ({', '.join(KINDS)})"])
-    return sorted(files, key=lambda path: [int(each) if each.isdigit() else each for each in _DIGITS.split(path.name)])
-
-
 def _called(names: Sequence[str], images: Path, folder: Path, taken: set[Path]) -> list[Path]:
     """The pictures that labels name, none twice and none that is taken, all found in one way: by the path below
     `images`, by the name there, by the name or by the stem in the camera's folder. Empty if labels do not name files,
@@ -126,12 +116,16 @@ def _stem(path: PurePosixPath) -> str:
 
 
 def _in_order(folder: Path, camera: str, count: int) -> list[Path]:
-    """All pictures of a camera's folder, one for each of its frames."""
-    files = _pictures(folder)
+    """All pictures of a camera's folder, one for each of its frames, in the order of the numbers in their names."""
+    if not folder.is_dir():
+        raise InputError(f"--pictures {folder}", ["is no folder of pictures"])
+    files = [path for path in folder.iterdir() if path.suffix.lower() in KINDS]
+    if not files:
+        raise InputError(f"--pictures {folder}", [f"has no pictures ({', '.join(KINDS)})"])
     if len(files) != count:
         told = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"
         raise InputError(f"--pictures {folder}", [f"{told}, or names as those of the labelled images"])
-    return files
+    return sorted(files, key=lambda path: [int(each) if each.isdigit() else each for each in _DIGITS.split(path.name)])
 
 
 def _check_size(path: Path, camera: Camera, given: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Indices, Mask, positions
+from modsim3d.core.arrays import NOBODY, Indices, Mask, positions, ranges
 from modsim3d.runs.counts import Outcome, having
 from modsim3d.scene.scene import Scene
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Codes, Column, Stretches, StretchesBuilder, onsets
@@ -80,8 +80,7 @@ def rows_of(frame: Indices, start: Column) -> tuple[Indices, Indices]:
     """The rows of each of some frames, one after the other, and which of the frames each is of."""
     begins: Indices = start.astype(np.int64)
     first, count = begins[frame], begins[frame + 1] - begins[frame]
-    which = np.repeat(np.arange(len(frame)), count)
-    return np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count), which
+    return ranges(first, count), np.repeat(np.arange(len(frame)), count)
 
 
 class Overview:

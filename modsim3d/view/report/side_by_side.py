@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import Indices, Mask
+from modsim3d.core.arrays import Indices
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.core.text import UNKNOWN, listed
 from modsim3d.runs.run_rows import RunRows
@@ -110,15 +110,12 @@ PAIRED_HEADER = ("Vessel", "Annotated", "Detected by both", "Only by A", "Only b
 
 def paired_detections(first: RunRows, second: RunRows) -> Rows:
     """Counts of annotated vessels that both, one or none of the runs detect, by vessel and in all: `PAIRED_HEADER`."""
-    vessel, given = first.truth_vessel, first.annotated
-    rows = [_paired(name, first, second, given & (vessel == i)) for i, name in enumerate(first.scene.vessel_names)]
-    return [*rows, _paired("all", first, second, given)]
-
-
-def _paired(name: str, first: RunRows, second: RunRows, given: Mask) -> tuple[str, ...]:
-    one, other = first.detected[given], second.detected[given]
-    counts = (len(one), *(int(np.sum(each)) for each in (one & other, one & ~other, ~one & other, ~one & ~other)))
-    return name, *map("{:,}".format, counts)
+    vessel, given, rows = first.truth_vessel, first.annotated, list[tuple[str, ...]]()
+    for name, which in (*((name, vessel == i) for i, name in enumerate(first.scene.vessel_names)), ("all", given)):
+        one, other = first.detected[given & which], second.detected[given & which]
+        counts = np.ones_like(one), one & other, one & ~other, ~one & other, ~one & ~other
+        rows.append((name, *(f"{np.sum(each):,}" for each in counts)))
+    return rows
 
 
 SIDE_BY_SIDE_FILE = "side_by_side.html"

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask, row_before, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, ranges, row_before, run_starts
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
@@ -179,8 +179,7 @@ class Shapes:
             rows = np.flatnonzero(same)
             long = np.diff(first)[rows]
             which = np.repeat(np.arange(len(rows)), long)
-            place = np.arange(len(which)) - np.repeat(np.cumsum(long) - long, long)
-            mine, other = (values[first[shapes][which] + place] for shapes in (rows, others[rows]))
+            mine, other = (values[ranges(first[shapes], long)] for shapes in (rows, others[rows]))
             differ = (mine != other).any(axis=tuple(range(1, mine.ndim)))  # also of no shapes at all
             same[rows[np.unique(which[differ])]] = False
         return same
