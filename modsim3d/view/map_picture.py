@@ -49,11 +49,13 @@ class Map:
     def __init__(self, birds_eye: map_marks.BirdsEye, width_px: int, height_px: int | None = None) -> None:
         """Draw what stays, from the bottom to the top; the map is as high as it needs if no height is given."""
         check_matplotlib()
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         dpi = width_px / WIDTH_IN
         size_in = WIDTH_IN, (height_px or map_height_px(birds_eye, width_px)) / dpi
         self.figure = Figure(figsize=size_in, dpi=dpi, layout="constrained")
+        FigureCanvasAgg(self.figure)  # else it makes one anew whenever it is asked for the extent of a text
         (x0, x1, y0, y1), axes = birds_eye.extent_m, self.figure.add_subplot()
         axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", facecolor=SEA)
         east, north = ("w1, east", "w2, north") if birds_eye.scene.origin else ("w1", "w2")
@@ -150,8 +152,6 @@ def save_map(
 
 def map_picture(birds_eye: map_marks.BirdsEye, step: int, size: tuple[int, int]) -> Image.Image:
     """The map at a step as a picture of a size, drawn whole."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    canvas = FigureCanvasAgg(map_figure(birds_eye, step, *size))
+    canvas: Any = map_figure(birds_eye, step, *size).canvas
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
