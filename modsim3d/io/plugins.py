@@ -6,7 +6,8 @@ import sys
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points, version
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,8 @@ SHAPES = "modsim3d.shapes"
 TRACKERS = "modsim3d.trackers"
 _MADE = re.compile(r"^(\.\./)+(bin|Scripts)/|(^|/)__(pycache|editable)__|^[^/]*\.(dist|egg)-info/|\.(pyc|pth)$|~$")
 """Names of files that Python, installers and editors make."""
+
+installed_version = cache(version)  # of a package, once in a process: all that it says of itself has to be parsed
 
 
 @dataclass(frozen=True)

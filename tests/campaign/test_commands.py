@@ -85,7 +85,7 @@ def test_a_missing_library_is_told_before_the_scenes_are_read(modsim3d, file, tm
             raise PackageNotFoundError(name)
         return "1.0"
 
-    monkeypatch.setattr("modsim3d.campaign.work.scenes.version", version)
+    monkeypatch.setattr("modsim3d.campaign.work.scenes.installed_version", version)
     monkeypatch.setattr("modsim3d.campaign.dask.find_spec", lambda name: None if name == library else name)
     monkeypatch.setattr("modsim3d.campaign.work.scenes.load_scene", no_engine)
     options = () if cluster is None else ("--cluster", cluster)

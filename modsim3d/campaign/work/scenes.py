@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -18,6 +18,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.reading import content_of, find_detector, shipped_detectors
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.input_files import data_folder, file_sha256
+from modsim3d.io.plugins import installed_version
 from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.io.validation import shown
 from modsim3d.learn.learned_detector import uncertainty_file
@@ -37,7 +38,7 @@ def digest(*parts: Any) -> str:
 def truth_digest(scene: Scene, backend: str) -> str:
     """Digest of the truth: the scene without its detector, and the versions of what makes it, the OpenGL `backend`
     too."""
-    packages = {name: version(name) for name in VERSIONED}
+    packages = {name: installed_version(name) for name in VERSIONED}
     plugins = [[plugin.group, plugin.name, plugin.package, plugin.sha256] for plugin in scene.plugins]
     return digest(scene.copy.truth_sha256(), scene.seed if scene.truth_has_seed else None, packages, plugins, backend)
 
@@ -59,7 +60,7 @@ def versions() -> dict[str, str]:
     """Version of every package that decides a row; ModsimError if TrackEval, which makes the scores, is not
     installed."""
     try:
-        return {name: version(name) for name in (*VERSIONED, "trackeval")}
+        return {name: installed_version(name) for name in (*VERSIONED, "trackeval")}
     except PackageNotFoundError:
         raise ModsimError('the scores of a campaign need TrackEval: pip install "modsim3d[trackers]"') from None
 

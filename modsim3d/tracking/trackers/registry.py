@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ from pydantic_core import PydanticSerializationError
 
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin
+from modsim3d.io.plugins import TRACKERS, Plugin, failed, installed_version, load_plugin
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Strict, describe, shown
 from modsim3d.scene.settings import plain
@@ -93,13 +93,13 @@ class NamedTracker:
             tracker=self.name,
             settings=settings,
             chosen=self.chosen,
-            package=self.plugin.package if self.plugin else f"modsim3d {version('modsim3d')}",
+            package=self.plugin.package if self.plugin else f"modsim3d {installed_version('modsim3d')}",
             versions={package: self._version(package) for package in packages},
         )
 
     def _version(self, package: str) -> str:
         try:
-            return version(package)
+            return installed_version(package)
         except PackageNotFoundError:
             raise ModsimError(f'{self} needs the library {package}: pip install "modsim3d[trackers]"') from None
 

@@ -4,12 +4,12 @@ import hashlib
 import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import UNKNOWN, counted
 from modsim3d.io.input_files import data_folder, file_sha256
+from modsim3d.io.plugins import installed_version
 from modsim3d.runs.files.block_files import KEPT_TRUTH, SETTINGS_FILE
 from modsim3d.runs.files.overwrite import RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.run import VERSIONED
@@ -47,7 +47,7 @@ class Provenance:
 
 def installed() -> dict[str, str]:
     """The versions of the packages that decide results, by their names."""
-    return {name: version(name) for name in VERSIONED}
+    return {name: installed_version(name) for name in VERSIONED}
 
 
 def versions_in_words(versions: Mapping[str, str]) -> str:
@@ -110,7 +110,7 @@ def top_line(found: Provenance) -> str:
     """The line under a page's title, which leads to the block, and what is wrong with an input."""
     first = [f"{Path(each.path).name} ({each.sha256[:_SHORT]})" for each in found.inputs[:2] if each.sha256]
     seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in found.seeds)}"] if found.seeds else []
-    in_short = html.escape(" · ".join([*first, *seeds, f"modsim3d {version('modsim3d')}"]))
+    in_short = html.escape(" · ".join([*first, *seeds, f"modsim3d {installed_version('modsim3d')}"]))
     line = f'<div class="soft top-line">{in_short} · <a href="#{ANCHOR}">what this page rests on</a></div>'
     wrong = (f'<p class="bad">{html.escape(f"{each.path}: {each.note}")}.</p>' for each in found.inputs if each.bad)
     return "\n".join([line, *wrong])
