@@ -48,5 +48,5 @@ def test_a_signal_ends_it(prepared, first, number):
     with subprocess.Popen(line, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as client:
         assert client.stdout.readline() == "here\n"
         client.send_signal(number)
-        client.communicate(timeout=20)
+        client.communicate(timeout=50)
         assert client.returncode != 0

@@ -258,7 +258,7 @@ def test_an_error_is_broken_between_words_on_a_terminal_and_not_in_a_pipe(prepar
     for width in (40, 70):
         ours, theirs = pty.openpty()
         environment = {**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
-        done = subprocess.run(command, stderr=theirs, timeout=120, check=False, env=environment)
+        done = subprocess.run(command, stderr=theirs, timeout=240, check=False, env=environment)
         os.close(theirs)
         said = os.read(ours, 10_000).decode().replace("\r\n", "\n")
         os.close(ours)

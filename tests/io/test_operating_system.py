@@ -127,7 +127,7 @@ def test_commands_do_without_locks_forks_and_proc(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text, encoding="utf-8")
     settings = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])}
     done = subprocess.run(
-        [sys.executable, "commands.py"], cwd=tmp_path, env=settings, capture_output=True, text=True, timeout=100
+        [sys.executable, "commands.py"], cwd=tmp_path, env=settings, capture_output=True, text=True, timeout=240
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "campaign" / "verdicts.json").exists() and (tmp_path / "tracks").is_dir()

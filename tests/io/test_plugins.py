@@ -65,7 +65,7 @@ def test_the_documents_package_is_the_tested_one_and_a_real_process_runs_it_with
     options = ["--out", str(tmp_path / "two"), "--no-sheet", "--workers", "2"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
     line = [sys.executable, "-m", "modsim3d.cli.main", "run", str(path), *options]
-    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     files = run_files(tmp_path / "two")
     assert files == run_files(tmp_path / "here")

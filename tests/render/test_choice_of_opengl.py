@@ -248,7 +248,7 @@ def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(b
     names = {setting.split("=")[0] for setting in settings}
     environment = {name: value for name, value in os.environ.items() if name not in names} | {"MODSIM3D_GL": backend}
     words = [sys.executable, "-c", ATTEMPTS, *settings]
-    said = json.loads(subprocess.check_output(words, env=environment, text=True, timeout=120))
+    said = json.loads(subprocess.check_output(words, env=environment, text=True, timeout=240))
     for way, part in ways.items():
         name, value = way.split("=", 1)
         if said[way] == "drawn" and name == "LIBGL_DRIVERS_PATH":
@@ -262,5 +262,5 @@ def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(b
 def test_pictures_of_campaigns_are_plain_where_a_library_has_no_driver() -> None:
     script = "from modsim3d.tracking.worst_film import best_style; print(best_style()[0].shaded)"
     environment = {**os.environ, "MODSIM3D_GL": "egl", "__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"}
-    said = subprocess.check_output([sys.executable, "-c", script], env=environment, text=True, timeout=120)
+    said = subprocess.check_output([sys.executable, "-c", script], env=environment, text=True, timeout=240)
     assert said == "False\n"

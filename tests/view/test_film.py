@@ -152,7 +152,7 @@ def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, 
     films = [tmp_path / f"{workers}.{kind}" for workers in ("1", "2")]
     for film in films:
         command = (prepared, "view", "film", run, *options, "--workers", film.stem, "--out", film)
-        subprocess.run(command, check=True, capture_output=True, timeout=60)
+        subprocess.run(command, check=True, capture_output=True, timeout=240)
     assert films[0].read_bytes() == films[1].read_bytes()
 
 

@@ -180,7 +180,7 @@ def entries(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def all_end(folder, within_s=20):
+def all_end(folder, within_s=120):
     """Whether all encoders that write to a folder end soon: they are asked to when the command does."""
     last_s = time.monotonic() + within_s
     while any(encodes(path, folder) for path in Path("/proc").glob("[0-9]*/cmdline")):
@@ -204,21 +204,21 @@ def test_a_stopped_film_leaves_nothing(stalled, tmp_path, name, number):
     drawing = stalled(tmp_path / name, *options)
     assert any(".partial" in entry for entry in entries(tmp_path))
     drawing.send_signal(number)
-    _, said = drawing.communicate(timeout=60)
+    _, said = drawing.communicate(timeout=240)
     assert drawing.returncode == 128 + number and "no film was written" in said and "Traceback" not in said
     assert entries(tmp_path) == [] and all_end(tmp_path)
 
 
 def test_a_failing_film_leaves_nothing_and_a_stopped_one_replaces_nothing_and_said_what_comes(stalled, tmp_path):
     drawing = stalled(tmp_path / "film.mp4", then="raise ZeroDivisionError")
-    drawing.communicate(timeout=60)
+    drawing.communicate(timeout=240)
     assert drawing.returncode != 0 and entries(tmp_path) == [] and all_end(tmp_path)
     (tmp_path / "film.mp4").write_bytes(b"the film before")
     drawing = stalled(tmp_path / "film.mp4", "--overwrite", frame=1)
     assert drawing.stderr is not None
     assert drawing.stderr.readline() == "film.mp4: 12 frames, 12.0 s at 5 pictures/s\n"
     drawing.send_signal(signal.SIGTERM)
-    drawing.communicate(timeout=60)
+    drawing.communicate(timeout=240)
     assert entries(tmp_path) == ["film.mp4"] and (tmp_path / "film.mp4").read_bytes() == b"the film before"
 
 
@@ -231,7 +231,7 @@ def test_a_film_of_several_workers_can_be_stopped(stalled, tmp_path_factory, tmp
     drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then=waiting, alone=True)
     (os.killpg if number == signal.SIGHUP else os.kill)(drawing.pid, number)
     go_on.touch()
-    _, said = drawing.communicate(timeout=60)
+    _, said = drawing.communicate(timeout=240)
     assert drawing.returncode == 128 + number and entries(tmp_path) == []
     assert "no film was written" in said and "Traceback" not in said
 
@@ -239,9 +239,9 @@ def test_a_film_of_several_workers_can_be_stopped(stalled, tmp_path_factory, tmp
 def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, tmp_path):
     drawing = stalled(tmp_path / "film.mp4", alone=True)
     drawing.kill()
-    drawing.communicate(timeout=60)
+    drawing.communicate(timeout=240)
     left = entries(tmp_path)
     assert left and all(each.startswith(".film.") and each.endswith((".partial.mp4", ".lock")) for each in left), left
     command = [prepared, "view", "film", run, "--kind", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, check=True, capture_output=True, timeout=240)
     assert entries(tmp_path) == ["film.mp4"]

@@ -102,7 +102,7 @@ def content(folder: Path) -> Content:
 
 
 def waited_for(what: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 240
     while not what():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.01)

@@ -232,7 +232,7 @@ def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaig
         os.kill(waiting()[0], signal.SIGTERM)
         time.sleep(0.5)
         coordinator.send_signal(signal.SIGINT)
-        assert coordinator.wait(30) in (-signal.SIGINT, 1)
+        assert coordinator.wait(120) in (-signal.SIGINT, 1)
     campaigns.check_end(out)
 
 
@@ -242,7 +242,7 @@ def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(campai
     with campaigns.holding() as waiting, campaigns.coordinator(str(count), out, threads=threads) as coordinator:
         workers = waiting(count)
         coordinator.send_signal(number)
-        assert coordinator.wait(30) in (-number, 1)
+        assert coordinator.wait(120) in (-number, 1)
         waited_for(lambda: not any(map(alive, workers)))
     campaigns.check_end(out)
 

@@ -117,7 +117,7 @@ def test_without_an_opengl_library_the_package_to_install_is_named(inputs, call,
 
 def process(*arguments: object, program: Path | None = None, **options: Any) -> subprocess.CompletedProcess[str]:
     command = [*([program] if program else [sys.executable, "-m", "modsim3d.cli.main"]), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, **options)
 
 
 DRIVERS = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"}
@@ -242,7 +242,7 @@ def test_lines_tables_and_bars_show_text_as_it_is_in_the_colours_of_the_commands
 def process_in_shell(*arguments: object, prefix: str = "", program: object = None, **environment: str) -> Any:
     command = [program] if program else [sys.executable, "-m", "modsim3d.cli.main"]
     shell = ["sh", "-c", f'{prefix} exec "$@"', "sh", *command, *map(str, arguments)]
-    return subprocess.run(shell, capture_output=True, timeout=120, env={**os.environ, **environment}, check=False)
+    return subprocess.run(shell, capture_output=True, timeout=240, env={**os.environ, **environment}, check=False)
 
 
 def test_any_encoding_of_the_output_will_do(inputs, call, prepared, tmp_path):

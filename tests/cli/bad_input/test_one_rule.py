@@ -358,7 +358,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_new_one_is_named(s
     command, *options = words
     line = [prepared, *command.split(), str(stored), *options, "--out", str(out), "--overwrite"]
     small_files = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (1000, 1000))
-    done = subprocess.run(line, capture_output=True, text=True, timeout=120, check=False, preexec_fn=small_files)
+    done = subprocess.run(line, capture_output=True, text=True, timeout=240, check=False, preexec_fn=small_files)
     assert done.returncode == 2, done.stderr
     assert f"modsim3d: {out} c" in done.stderr  # cannot be written to, could not be encoded
     assert "Traceback" not in done.stderr and ".partial" not in done.stderr

@@ -190,5 +190,5 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, prepared, tmp_path,
     (out / name).parent.mkdir(parents=True)
     os.mkfifo(out / name)
     command = (prepared, "run", scene, "--out", out, "--overwrite")
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
     assert done.returncode == 2 and "is not a run directory" in done.stderr

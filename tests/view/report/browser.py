@@ -26,7 +26,7 @@ FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "-
          "--disable-background-networking", "--disable-component-update", "--disable-extensions", "--disable-sync",
          "--force-color-profile=srgb", "--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows",
          "--disable-background-timer-throttling", "--remote-debugging-pipe")  # fmt: skip
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 PLAYER = "Boolean(window.player || document.querySelector('#failure:not([hidden])'))"
 
 

@@ -104,7 +104,7 @@ def test_each_kind_has_a_key_and_the_chosen_moment_plays_again_and_again(browser
 SETTLED = "new Promise(done => setTimeout(() => done(decodeURIComponent(location.hash)), 300))"
 
 
-def wait_for(path, patience_s=20.0):
+def wait_for(path, patience_s=120.0):
     deadline = time.monotonic() + patience_s
     while not path.is_file():
         assert time.monotonic() < deadline, sorted(path.parent.iterdir())
