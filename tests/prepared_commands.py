@@ -24,7 +24,6 @@ from typing import NoReturn
 
 import typer
 from pydantic import BaseModel
-from typer.core import TyperCommand, TyperGroup
 
 import modsim3d
 from benchmarks.faults.commands import prepare
@@ -68,8 +67,11 @@ def serve(folder: Path) -> None:
     for model in models(Strict):
         model.model_rebuild()
     typer.main.get_command = functools.cache(typer.main.get_command)
-    for _, name, *_ in cli.COMMANDS:
-        parse(typer.main.get_command(cli._asked(name.split()[0])))
+    commands = [typer.main.get_command(cli._asked(name.split()[0])) for _, name, *_ in cli.COMMANDS]
+    for command in commands:
+        commands += getattr(command, "commands", {}).values()  # of a group, which come after all others
+        for parameter in command.params:
+            parameter.get_runtime_param()
     prepare()  # once more, because it makes sure that no library has started a thread
     gc.freeze()  # what is imported stays, and no command looks through it
     with socket.socket(socket.AF_UNIX) as listening:
@@ -101,14 +103,6 @@ def modules() -> list[str]:
 def models(of: type[BaseModel]) -> list[type[BaseModel]]:
     """A model and all that are derived from it."""
     return [of, *(each for derived in of.__subclasses__() for each in models(derived))]
-
-
-def parse(command: TyperCommand | TyperGroup) -> None:
-    """Prepare the options of a command, and those of the commands of a group."""
-    for parameter in command.params:
-        parameter.get_runtime_param()
-    for each in getattr(command, "commands", {}).values():
-        parse(each)
 
 
 def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
