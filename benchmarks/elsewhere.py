@@ -18,7 +18,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.learn.learned_detector import Learned
+from modsim3d.learn.learned_detector import Estimates
 from modsim3d.learn.self_check import SequencePart, parts_of
 from tests.learn.one_state import drawn_models
 from tests.learn.round_trip import simulate
@@ -88,14 +88,14 @@ class OtherTruth:
         return np.array([[rate[chosen].mean() for chosen in self.bins.values()] for rate in rates])
 
 
-def elsewhere(other: OtherTruth, true: DetectorModel, statistics: TargetStatistics, learned: Learned) -> dict[str, Any]:
+def elsewhere(other: OtherTruth, true: DetectorModel, counts: TargetStatistics, learned: Estimates) -> dict[str, Any]:
     """By bin: the true rates, the learned ones, and whether the true ones lie in the range of detectors that a campaign
-    draws; one number of each for each state that the data tell enough of. Statistics are those of the scene that was
+    draws; one number of each for each state that the data tell enough of. Counts are those of the scene that was
     learned from, to which the true rates may be anchored."""
     enough = np.array([learned.units[name] >= MIN_UNITS for name in learned.observed.states])
     with tempfile.TemporaryDirectory() as folder:
         models = [parse_detector(learned.detector()), *drawn_models(learned, Path(folder), DRAWS)]
-    asked = other.miss_rates(true, statistics)
+    asked = other.miss_rates(true, counts)
     value, *rates = (other.miss_rates(model, TargetStatistics()) for model in models)
     drawn = np.stack(rates)
     inside = (drawn.min(axis=0) <= asked) & (asked <= drawn.max(axis=0))

@@ -9,7 +9,7 @@ from modsim3d.campaign.campaign import search_campaign as search_campaign
 from modsim3d.campaign.means import Mean as Mean
 from modsim3d.campaign.means import MeanRow as MeanRow
 from modsim3d.campaign.report.search_page import report_campaign as report_campaign
-from modsim3d.campaign.reproduce import RunAgain as RunAgain
+from modsim3d.campaign.reproduce import ReproducedRun as ReproducedRun
 from modsim3d.campaign.reproduce import reproduce_run as reproduce_run
 from modsim3d.campaign.search import SearchResult as SearchResult
 from modsim3d.campaign.verdicts.verdict import Verdict as Verdict
@@ -18,7 +18,7 @@ from modsim3d.core.errors import ModsimError as ModsimError
 from modsim3d.core.errors import OutputError as OutputError
 from modsim3d.core.errors import RendererError as RendererError
 from modsim3d.core.errors import RunDirectoryError as RunDirectoryError
-from modsim3d.core.written_files import Written as Written
+from modsim3d.core.written_files import OutputFiles as OutputFiles
 from modsim3d.detector.file.reading import load_detector as load_detector
 from modsim3d.detector.model import DetectorModel as DetectorModel
 from modsim3d.detector.truncation import truncated_errors as truncated_errors
@@ -39,7 +39,7 @@ from modsim3d.learn.voyage.logs.log import LogOptions as LogOptions
 from modsim3d.runs.frames import Frame as Frame
 from modsim3d.runs.frames import FrameDetections as FrameDetections
 from modsim3d.runs.frames import FrameTruth as FrameTruth
-from modsim3d.runs.locating import Located as Located
+from modsim3d.runs.locating import Locations as Locations
 from modsim3d.runs.locating import locate as locate
 from modsim3d.runs.pipeline import simulate_frames as simulate_frames
 from modsim3d.runs.repeat_run import Repetition as Repetition

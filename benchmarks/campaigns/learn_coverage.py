@@ -41,7 +41,7 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.learned_detector import LearnSettings, learn
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.self_check import parts_of
 from modsim3d.learn.states import each_its_own, transitions_of
 from tests.learn.round_trip import DETECTOR, asked_of, simulate
@@ -141,7 +141,7 @@ def _inside(case: Case, run: Path, method: str, seed: int) -> dict[str, Any]:
     transitions = transitions_of(labelled.images, image_state, len(states.names), file["transition_interval_s"])
     settings = LearnSettings(Rule(method), replicates=REPLICATES, seed=seed)
     matched = match(labelled, settings.rule, settings.threshold)
-    learned = learn(Observed(labelled, matched, states.names, image_state, settings.threshold), transitions, settings)
+    learned = learn(Outcomes(labelled, matched, states.names, image_state, settings.threshold), transitions, settings)
     asked, other = asked_of(case.path), of_another_model(file, learned.detector())
     total = sum(value.size for value in asked.values())
     result: dict[str, Any] = {"numbers": total}

@@ -15,9 +15,9 @@ from benchmarks.voyages.pixels import STD, VARIANTS, by_tracks, numbers_of
 from benchmarks.voyages.reported import AisErrors
 from modsim3d.core.arrays import Mask
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Matched, match
+from modsim3d.formats.matching import Matching, match
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned_detector import Learned, LearnSettings
+from modsim3d.learn.learned_detector import Estimates, LearnSettings
 from modsim3d.learn.voyage.learn_voyage import with_sure_boxes
 
 NUMBERS = (STD.format("e_x"), STD.format("e_w"), "persistence.box_s")
@@ -74,7 +74,7 @@ def film_causes(film: Film) -> dict[str, Any]:
     }
 
 
-def _of_others(full: LabelledSet, matched: Matched, fewer: LabelledSet, again: Matched, unknown: Mask) -> int:
+def _of_others(full: LabelledSet, matched: Matching, fewer: LabelledSet, again: Matching, unknown: Mask) -> int:
     """How many detections match a vessel with fewer vessels that with all of them match an unknown one, mask (T,)."""
     rows, _ = again.pairs
     before = matched.annotation[rows]
@@ -96,10 +96,10 @@ def _dropped(table: Any, drop: Mask | None) -> Any:
     return replace(table, **{name: column[~drop] for name, column in vars(table).items() if column is not None})
 
 
-def _learned(labelled: LabelledSet, settings: LearnSettings) -> Learned:
+def _learned(labelled: LabelledSet, settings: LearnSettings) -> Estimates:
     return learn_detector(labelled, settings, LearnOptions()).learned
 
 
-def _values(learned: Learned) -> dict[str, float]:
+def _values(learned: Estimates) -> dict[str, float]:
     numbers = numbers_of(learned)
     return {name: float(f"{numbers[name]['value']:.6g}") for name in NUMBERS if name in numbers}

@@ -19,7 +19,7 @@ from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.trials import BY_RULE, LEVEL, REPLICATES, bounds, registration_numbers
 from benchmarks.voyages.wrong_camera import WRONG, really, write_table
 from modsim3d.core.errors import ModsimError
-from modsim3d.learn.learned_detector import Learned
+from modsim3d.learn.learned_detector import Estimates
 from modsim3d.learn.learning import learn_detector
 from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
 from modsim3d.learn.voyage.log_to_scene import Correction
@@ -151,7 +151,7 @@ def _write_log(film: Film, camera: str, path: Path) -> None:
     write_table(path, times_s, camera, frame, [LABEL] * len(real), np.array([each["score"] for each in real]), boxes)
 
 
-def numbers_of(learned: Learned) -> Numbers:
+def numbers_of(learned: Estimates) -> Numbers:
     """Each number with its interval; not the quantiles of confidence, which are many, nor what a rule settles."""
     found = {}
     for each in learned.intervals(LEVEL):

@@ -40,7 +40,7 @@ def rows_of(folder: CampaignFolder) -> pa.Table:
 
 
 @dataclass(frozen=True, eq=False)
-class Present:
+class CampaignStatus:
     """The present state of a campaign."""
 
     table: pa.Table  # rows that are done
@@ -62,13 +62,13 @@ class Present:
         return crashed_runs(self.table)
 
 
-def present_state(folder: CampaignFolder) -> Present:
+def present_state(folder: CampaignFolder) -> CampaignStatus:
     """Read how far a campaign is; raises ModsimError for damaged results."""
     table, total, ended = rows_of(folder), folder.total, folder.finished
     holder = None if ended else holder_of(folder.path)
     left_s, last_s = (None, None) if ended else _times(folder, total - len(table), holder)
     verdicts = judged(folder.plan, table if ended else complete_batches(folder.plan, table))
-    return Present(table, total, ended, holder, left_s, last_s, verdicts)
+    return CampaignStatus(table, total, ended, holder, left_s, last_s, verdicts)
 
 
 def complete_batches(plan: Plan, table: pa.Table) -> pa.Table:

@@ -203,7 +203,7 @@ _NUMBER = r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
 
 
 @dataclass(frozen=True)
-class Expected:
+class Expectation:
     """Expected mean and standard deviation of a score over traffic seeds, and the lost runs that are left out."""
 
     mean: float
@@ -221,15 +221,15 @@ class NeededSeeds:
     condition: int | None  # number; None: of all
     seeds: int | None = None  # None if none are enough, or if that is unknown
     why: str = ""  # what that rests on
-    expected: Expected | None = None  # None if unknown, or if it is on a share
+    expected: Expectation | None = None  # None if unknown, or if it is on a share
 
 
-def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
+def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expectation]:
     """Name and expectation of `SCORE=MEAN:SPREAD` for a required mean; of a difference `SCORE of NEW minus OLD`. Raises
     ModsimError for any other text."""
     if not (match := re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text)):
         raise ModsimError(f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')")
-    name, found = match[1], Expected(float(match[2]), float(match[3]))
+    name, found = match[1], Expectation(float(match[2]), float(match[3]))
     if not found.spread > 0:
         raise ModsimError(f"--expect {name}: needs a spread above 0 (got {found.spread:g})")
     known = list(dict.fromkeys(each.what for each in plan.keys.require if each.share is None))
@@ -238,7 +238,7 @@ def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
     return name, found
 
 
-def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFolder | None) -> list[NeededSeeds]:
+def needed_seeds(plan: Plan, expected: Mapping[str, Expectation], like: CampaignFolder | None) -> list[NeededSeeds]:
     """Seeds that each requirement needs, by tracker and condition where these differ. `expected` maps the name of a
     score, or of a difference of it, to what is expected; else the scores of an earlier campaign `like` are expected."""
     rows = None if like is None else SeedRows(like.plan, results_table(like))
@@ -259,7 +259,7 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFol
 
 
 def _with_seeds(
-    empty: NeededSeeds, plan: Plan, requirement: Requirement, case: Case, expected: Expected | None
+    empty: NeededSeeds, plan: Plan, requirement: Requirement, case: Case, expected: Expectation | None
 ) -> NeededSeeds:
     share, sure, once = requirement.share, requirement.confidence, plan.keys.stop == "once"
     endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MAX_SEEDS)})
@@ -289,7 +289,7 @@ def _with_seeds(
     return replace(found, seeds=seeds, why=why if seeds else f"more than {_LONGEST:,} {why}")
 
 
-def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expected | None:
+def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expectation | None:
     """Mean and spread of an earlier campaign, of the same trackers and values; None with fewer than two seeds."""
     labels, condition = [each.label for each in like.keys.trackers], plan.conditions[case.condition]
     wanted = condition.values, value_of(condition, SCENE)
@@ -300,10 +300,10 @@ def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: Se
     runs = rows.runs_of(Case(tracker, same[0], case.part, *minus), requirement.score, requirement.resting_on)
     means = runs.means(math.nan)
     means = means[np.isfinite(means)]
-    return Expected(float(means.mean()), float(means.std(ddof=1)), int(runs.lost.sum())) if len(means) > 1 else None
+    return Expectation(float(means.mean()), float(means.std(ddof=1)), int(runs.lost.sum())) if len(means) > 1 else None
 
 
-def _once(expected: Expected, requirement: Requirement, limits: tuple[float, float], least: int) -> int:
+def _once(expected: Expectation, requirement: Requirement, limits: tuple[float, float], least: int) -> int:
     """The least number of normal values with which the bound of a verdict is beyond the threshold with `POWER`."""
     sign = 1 if requirement.at_least is not None else -1
     greatest = limits[1] if sign > 0 else -limits[0]
@@ -320,7 +320,7 @@ def _once(expected: Expected, requirement: Requirement, limits: tuple[float, flo
     return bounds.least_whole(enough, max(least, 3))
 
 
-def _sequential(expected: Expected, requirement: Requirement, limits: tuple[float, float], least: int) -> int | None:
+def _sequential(expected: Expectation, requirement: Requirement, limits: tuple[float, float], least: int) -> int | None:
     """After how many normal values, cut to what the score can be, `POWER` of the sequences are met."""
     start, end = limits if requirement.at_least is not None else reversed(limits)
     rng, wealth, first = np.random.default_rng(1), -math.log1p(-requirement.confidence), []

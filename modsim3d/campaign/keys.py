@@ -12,7 +12,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
-from modsim3d.io.validation import HORIZON, Needed, Number, Positive, Strict, describe, kind_of, nearest
+from modsim3d.io.validation import HORIZON, NeedText, Number, Positive, Strict, describe, kind_of, nearest
 from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
@@ -220,7 +220,7 @@ class Requirement(Strict):
     `one_track` is false."""
 
     score: Text
-    where: dict[Text, Annotated[Scalar | list[Scalar], Needed("a value, or a list of them, is needed")]] = Field(
+    where: dict[Text, Annotated[Scalar | list[Scalar], NeedText("a value, or a list of them, is needed")]] = Field(
         default_factory=dict
     )
     of: Text | None = None

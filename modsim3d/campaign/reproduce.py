@@ -96,7 +96,7 @@ _NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "track
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RunAgain:
+class ReproducedRun:
     """A run of a campaign that was made again."""
 
     run: PlannedRun
@@ -113,7 +113,7 @@ class RunAgain:
 
     def __repr__(self) -> str:
         """The folder, and whether the row is the same."""
-        return f"<RunAgain {self.folder}: {self.error or ('as' if self.same else 'not as') + ' in the campaign'}>"
+        return f"<ReproducedRun {self.folder}: {self.error or ('as' if self.same else 'not as') + ' in the campaign'}>"
 
     @property
     def same(self) -> bool:
@@ -131,7 +131,7 @@ def reproduce_run(
     film: bool = False,
     overwrite: bool = False,
     progress: Callable[..., None] = lambda *_: None,
-) -> RunAgain:
+) -> ReproducedRun:
     """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
 
         again = modsim3d.reproduce_run("runs/example", 12, "runs/example/runs/12", film=True)
@@ -174,7 +174,7 @@ def reproduce_run(
         moment = film_moment(path, tracks, *about, overwrite=overwrite, progress=progress)
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     differing = _differing(before, row)
-    return RunAgain(run, path, tracks, before, row, error, raised_at, differing, tuple(reused), changed, moment)
+    return ReproducedRun(run, path, tracks, before, row, error, raised_at, differing, tuple(reused), changed, moment)
 
 
 def _row(

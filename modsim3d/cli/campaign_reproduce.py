@@ -16,7 +16,7 @@ from modsim3d.cli.terminal_tables import print_prose, print_table
 if TYPE_CHECKING:
     from modsim3d.campaign.folder import CampaignFolder
     from modsim3d.campaign.keys import ScoreKeys
-    from modsim3d.campaign.reproduce import RunAgain
+    from modsim3d.campaign.reproduce import ReproducedRun
     from modsim3d.tracking.worst_film import MomentFilm
 
 NOT_THE_SAME = 1  # exit status if the run does not come out as in the campaign
@@ -57,7 +57,7 @@ def campaign_reproduce_command(
         raise typer.Exit(NOT_THE_SAME)
 
 
-def _print_run(again: RunAgain) -> None:
+def _print_run(again: ReproducedRun) -> None:
     from modsim3d.campaign.plan import text_of
 
     run = again.run
@@ -71,7 +71,7 @@ def _print_run(again: RunAgain) -> None:
     print_table(open_console(), f"run {run.number}", rows)
 
 
-def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> None:
+def _print_outcome(campaign: CampaignFolder, again: ReproducedRun, film: MomentFilm | None) -> None:
     console, out, tracks = open_console(), shlex.quote(str(again.folder)), shlex.quote(str(again.tracks))
     if again.row is not None:
         print_table(console, "scores", _score_rows(campaign, again), header=HEADER, right=(1, 2))
@@ -96,7 +96,7 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
     shared.print_line(console, f"  modsim3d report {out} --tracks {tracks}")
 
 
-def _sentences(again: RunAgain) -> list[str]:
+def _sentences(again: ReproducedRun) -> list[str]:
     """Sentences on the outcome of the run."""
     found = []
     if again.error is not None:
@@ -118,7 +118,7 @@ def _sentences(again: RunAgain) -> list[str]:
     return found
 
 
-def _score_rows(campaign: CampaignFolder, again: RunAgain) -> list[tuple[str, ...]]:
+def _score_rows(campaign: CampaignFolder, again: ReproducedRun) -> list[tuple[str, ...]]:
     from modsim3d.campaign.verdicts.seed_values import columns_of
     from modsim3d.core.text import number
     from modsim3d.tracking.score_text import COLUMNS
@@ -147,7 +147,7 @@ def _score_options(keys: ScoreKeys) -> str:
     return "".join(f" --{option} {value}" for option, value in options.items())
 
 
-def _json(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> dict[str, Any]:
+def _json(campaign: CampaignFolder, again: ReproducedRun, film: MomentFilm | None) -> dict[str, Any]:
     run = again.run
     return {
         "format": 1,

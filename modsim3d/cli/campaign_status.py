@@ -17,7 +17,7 @@ from modsim3d.core.errors import ModsimError
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from modsim3d.campaign.campaign import Present
+    from modsim3d.campaign.campaign import CampaignStatus
     from modsim3d.campaign.folder import CampaignFolder
     from modsim3d.campaign.means import MeanRow
 
@@ -48,7 +48,7 @@ def campaign_status_command(campaign: shared.CampaignArgument) -> None:
     )
 
 
-def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
+def _print_state(opened: CampaignFolder, found: CampaignStatus, once: bool) -> None:
     from modsim3d.campaign.folder import killed_sentence
     from modsim3d.campaign.report.campaign_page import crash_sections, requirement_blocks
     from modsim3d.cli.campaign_text import MAX_ROWS, present_text
@@ -71,7 +71,7 @@ def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
         print_prose(console, killed)
 
 
-def _how(found: Present) -> list[str]:
+def _how(found: CampaignStatus) -> list[str]:
     from modsim3d.cli.campaign_text import time_left_text
 
     if found.finished:

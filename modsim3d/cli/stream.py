@@ -74,7 +74,7 @@ def _address(to: str, timeout: float | None) -> Address | None:
 def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -> None:
     """Serve the lines to readers; the first is waited for before the first step."""
     from modsim3d.runs.stream_lines import header_line
-    from modsim3d.runs.stream_server import LineServer, NobodyReads
+    from modsim3d.runs.stream_server import LineServer, NoReader
 
     with LineServer(address, wait_s, header_line(scene), warn=warn, tell=lambda text: tell("reader", text)) as server:
         say(f"listening on {server.address}")
@@ -90,11 +90,11 @@ def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -
             try:
                 _send_steps(scene, realtime, send)
             except ModsimError:
-                with suppress(NobodyReads):
+                with suppress(NoReader):
                     server.finish(come_back=False)  # readers who are there have the lines from before the error
                 raise
             server.finish()
-        except NobodyReads:
+        except NoReader:
             warn("the stream ends: its readers went away before they had all lines, and none has come back")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from modsim3d.cli.terminal import is_verbose, visible, wrapped
-from modsim3d.core.document import Beside, Block, Document, Fold, Heading, Items, Style, Table, Text, Where, shown
+from modsim3d.core.document import Block, BlockRow, Document, Fold, Heading, Items, Style, Table, Text, Where, shown
 from modsim3d.core.text import is_numeric, with_minus
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
             continue
         if isinstance(block, Table) and block.title:
             heading = Heading(block.title)
-        if isinstance(block, Beside):
+        if isinstance(block, BlockRow):
             print_blocks(console, [heading, *block.blocks])
         else:
             if heading.text:

@@ -14,7 +14,7 @@ from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
 
 if TYPE_CHECKING:
-    from modsim3d.core.written_files import Written
+    from modsim3d.core.written_files import OutputFiles
     from modsim3d.runs.stored_run import StoredRun
 
 MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
@@ -219,7 +219,7 @@ def _opened(run: Path, tracks: Path | None = None) -> StoredRun:
     return opened
 
 
-def _say(what: str, drawn: Written, aligned: int = 0) -> None:
+def _say(what: str, drawn: OutputFiles, aligned: int = 0) -> None:
     """Print where it is, and the notes, the first of them below the path."""
     say(f"{what}  {drawn.path}")
     for place, note in enumerate(drawn.notes):

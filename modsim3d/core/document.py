@@ -118,14 +118,14 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Beside:
+class BlockRow:
     """Blocks side by side."""
 
     blocks: Sequence[Block]
     where: Where = Where.TEXT
 
 
-Block = Heading | Text | Items | Tiles | Table | Figure | Fold | Beside
+Block = Heading | Text | Items | Tiles | Table | Figure | Fold | BlockRow
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _lines(blocks: Iterable[Block], where: Where = Where.BRIEF) -> Iterator[str]
                 yield from wrap(block.text, 100)
             case Items():
                 yield from (line for text in block.texts for line in wrap(f"- {text}", 100, subsequent_indent="  "))
-            case Fold() | Beside():
+            case Fold() | BlockRow():
                 yield from _lines(block.blocks, where)
             case Table():
                 rows = [*([block.header] if any(block.header) else []), *block.texts]
@@ -197,7 +197,7 @@ def shown(blocks: Iterable[Block], where: Where) -> list[Block]:
     """Blocks that a place shows: nothing that is empty, and no heading with nothing below it."""
     kept: list[Block] = []
     for block in reversed(list(blocks)):
-        if isinstance(block, Fold | Beside):
+        if isinstance(block, Fold | BlockRow):
             block = replace(block, blocks=shown(block.blocks, where))
         if where not in block.where or not _content(block):
             continue
@@ -220,7 +220,7 @@ def _content(block: Block) -> object:
             return block.rows
         case Figure():
             return block.draw
-        case Fold() | Beside():
+        case Fold() | BlockRow():
             return block.blocks
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 VERSION = "__version__"
+RENAMED = {"Located": "Locations", "RunAgain": "ReproducedRun", "Written": "OutputFiles"}
 
 
 _PACKAGES: dict[str, "LazyNames"] = {}
@@ -33,7 +34,8 @@ class LazyNames:
         if name == VERSION:
             return version(self._package)
         if name not in self._homes:
-            raise AttributeError(f"module {self._package!r} has no attribute {name!r}")
+            now = f": it is now {RENAMED[name]}" if name in RENAMED else ""
+            raise AttributeError(f"module {self._package!r} has no attribute {name!r}{now}")
         return getattr(import_module(self._homes[name]), name)
 
     def listed(self) -> list[str]:

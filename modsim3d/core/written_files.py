@@ -11,7 +11,7 @@ _MAX_BYTES = 50_000_000  # of what a notebook takes in
 
 
 @dataclass(frozen=True, repr=False)
-class Written:
+class OutputFiles:
     """Files that a function has written; a notebook shows the page, the picture or the film among them.
 
         page = modsim3d.report("runs/first")

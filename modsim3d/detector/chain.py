@@ -24,7 +24,7 @@ from modsim3d.detector.target_statistics import TargetStatistics
 
 
 @dataclass(frozen=True, eq=False)
-class _Unscored(Columns):
+class _RawBoxes(Columns):
     """Detections before they have a confidence: columns of `Detections`, and what confidence needs."""
 
     frame: Indices
@@ -39,7 +39,7 @@ class _Unscored(Columns):
     uniforms: Array  # for confidence and order, shape (m, 2)
 
 
-_KEPT_COLUMNS = tuple(each.name for each in fields(_Unscored) if each.name in Detections.__dataclass_fields__)
+_KEPT_COLUMNS = tuple(each.name for each in fields(_RawBoxes) if each.name in Detections.__dataclass_fields__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,9 @@ class _Vessels:
 
     def unscored(
         self, rows: Indices | slice, kind: Indices, boxes_px: Array, errors_px: Array, redrawn: Mask, uniforms: Array
-    ) -> _Unscored:
+    ) -> _RawBoxes:
         """Detections of k of the vessels; boxes and errors have shape (k, 4), uniforms (k, 2), the others (k,)."""
-        return _Unscored(
+        return _RawBoxes(
             frame=self.targets.frame[rows],
             target=self.row[rows],
             partner=np.where(kind == records.MERGED, self.partner[rows], -1),
@@ -72,11 +72,11 @@ class _Vessels:
 
 def _false(
     frame: Indices, target: Indices | None, kind: int, label: Indices, boxes_px: Array, uniforms: Array
-) -> _Unscored:
+) -> _RawBoxes:
     """Detections of one kind that are no box of a vessel, of which they may lie on one."""
     count = len(frame)
     none = np.full(count, -1)
-    return _Unscored(
+    return _RawBoxes(
         frame=frame,
         target=none if target is None else target,
         partner=none,
@@ -153,7 +153,7 @@ class Detector:
 
     def _true_detections(
         self, frames: CameraFrames, detected: _Vessels, placed: MisplacedBoxes, events: Events
-    ) -> _Unscored:
+    ) -> _RawBoxes:
         """One detection of each detected vessel; of a split one the larger part."""
         boxes = placed.boxes_px.copy()
         kind = np.where(detected.partner >= 0, records.MERGED, records.TRUE)
@@ -165,7 +165,7 @@ class Detector:
             uniforms[:, 0] = detected.level
         return detected.unscored(slice(None), kind, boxes, errors, placed.redrawn, uniforms)
 
-    def _duplicates(self, frames: CameraFrames, states: Indices, detected: _Vessels, events: Events) -> list[_Unscored]:
+    def _duplicates(self, frames: CameraFrames, states: Indices, detected: _Vessels, events: Events) -> list[_RawBoxes]:
         """Second boxes, whose errors are drawn like those of the first."""
         if not len(events.doubled):
             return []
@@ -180,7 +180,7 @@ class Detector:
 
     def _fragments(
         self, frames: CameraFrames, detected: _Vessels, placed: MisplacedBoxes, events: Events
-    ) -> list[_Unscored]:
+    ) -> list[_RawBoxes]:
         """The smaller parts of split boxes."""
         count = len(events.split)
         if not count:
@@ -191,7 +191,7 @@ class Detector:
         uniforms = draws.target_uniforms(self._streams, Purpose.FRAGMENT_CONFIDENCE, frames, vessels)
         return [detected.unscored(events.split, kind, smaller, errors, np.zeros(count, dtype=bool), uniforms)]
 
-    def _on_vessels(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> list[_Unscored]:
+    def _on_vessels(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> list[_RawBoxes]:
         """False positives on vessels that pass the gates, found or missed."""
         law = self.model.false_positives.on_vessels
         if law is None:
@@ -208,7 +208,7 @@ class Detector:
 
     def _false_positives(
         self, frames: CameraFrames, states: Indices, vessels: Targets, events: Events
-    ) -> list[_Unscored]:
+    ) -> list[_RawBoxes]:
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         counts = false_positives.FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
         around = false_positives.Surroundings(self._streams, frames, counts, vessels)
@@ -221,10 +221,10 @@ class Detector:
             for kind, purpose, each in drawn
         ]
 
-    def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
+    def _scored(self, states: Indices, parts: Sequence[_RawBoxes], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""
         parts = [part for part in parts if len(part.frame)] or parts[:1]  # in a live step, most are empty
-        every = parts[0] if len(parts) == 1 else _Unscored.join(parts)
+        every = parts[0] if len(parts) == 1 else _RawBoxes.join(parts)
         width, height = sizes(every.boxes_px).T
         false, (uniforms, ties) = records.are_false(every.kind), every.uniforms.T
         confidence = self._confidence.score(

@@ -266,7 +266,7 @@ _MIN_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on th
 
 
 @dataclass(frozen=True)
-class OnVessels:
+class VesselFalseBoxes:
     """False detections that lie on vessels: boxes of a part, or of a vessel and what is around it."""
 
     share: float  # of the vessels in the image, found or missed, that have one
@@ -295,7 +295,7 @@ class FalsePositiveOptions:
     lifetime_s: float = 1.0  # mean lifetime of persistent ones
     drift_px_s: float = 0.0  # speed of persistent ones along the horizon, to either side
     persistent_share: float = 0.0  # of all false positives
-    on_vessels: OnVessels | None = None  # besides all others
+    on_vessels: VesselFalseBoxes | None = None  # besides all others
 
     @property
     def numbers(self) -> FalsePositiveModel:

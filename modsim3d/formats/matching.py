@@ -67,7 +67,7 @@ def usual_method(labelled: LabelledSet, position_m: float = 0.0) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Matched:
+class Matching:
     """Matches of the detections that take part."""
 
     annotation: Indices  # row of the annotation that each detection matches, −1 for none: (D,)
@@ -130,7 +130,7 @@ def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[
         begin = stop
 
 
-def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matched:
+def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matching:
     """Match the detections that are confident enough, or whose confidence is not given. Raises ModsimError if the set
     does not say where detections come from for the rule `provenance`, or has no confidences for `confidence`."""
     takes_part = ~(labelled.results.confidence < least_confidence)
@@ -142,7 +142,7 @@ def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> M
         assign = _optimal if rule.method == "optimal" else _greedy
         matches = assign(labelled, _candidates(labelled, takes_part, rule), rule)
     ignored = np.append(labelled.annotations.ignored, False)[matches]
-    return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored, rule)
+    return Matching(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored, rule)
 
 
 def _by_provenance(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Indices:

@@ -84,7 +84,7 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
     note_input(path)
     try:
         with _ordinary_file(path, source) as file:
-            content: io.BufferedReader = io.BufferedReader(_Budgeted(file, source, most_bytes), PIECE_BYTES)
+            content: io.BufferedReader = io.BufferedReader(_BudgetedFile(file, source, most_bytes), PIECE_BYTES)
             mark = content.peek(len(codecs.BOM_UTF8))
             if mark.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                 raise InputError(source, ["is UTF-16 text, must be UTF-8: save it as that (iconv -f UTF-16 -t UTF-8)"])
@@ -117,7 +117,7 @@ def _problem(error: Exception) -> str:
     return f"cannot be read: {getattr(error, 'strerror', None) or error}"
 
 
-class _Budgeted(io.RawIOBase):
+class _BudgetedFile(io.RawIOBase):
     """The bytes of a file, unpacked if it is gzipped; refuses to give more than the budgets allow."""
 
     def __init__(self, file: io.BufferedReader, source: str, most_bytes: int | None) -> None:

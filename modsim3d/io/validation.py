@@ -36,7 +36,7 @@ class Limits:
         return core_schema.no_info_after_validator_function(self._check, schema) if self._check else schema
 
 
-class Needed:
+class NeedText:
     """The one error of a field of several types or many numbers, whatever is wrong inside: what is needed."""
 
     def __init__(self, words: str) -> None:
@@ -48,7 +48,7 @@ class Needed:
         return core_schema.custom_error_schema(handler(source), "needed", custom_error_message=self._words)
 
 
-HORIZON = Needed("a row, or x and y of two points, as in [0, 400, 1920, 410], is needed")
+HORIZON = NeedText("a row, or x and y of two points, as in [0, 400, 1920, 410], is needed")
 
 
 def _not_tiny(value: float) -> float:

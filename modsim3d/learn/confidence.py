@@ -13,7 +13,7 @@ from modsim3d.learn import confidence_fit, confidence_laws
 from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, resample, spread
 from modsim3d.learn.confidence_fit import KINDS, Kind, ObservedConfidences, SlopeFit, SlopeForm
 from modsim3d.learn.confidence_laws import ConsecutiveScores, Inflation, LatentScores, LawKeys, LearnedConfidence
-from modsim3d.learn.matches import Observed, usual_run_s
+from modsim3d.learn.matches import Outcomes, usual_run_s
 from modsim3d.learn.persistence import inflation, steps_between
 
 # ---- Whether confidence falls ----
@@ -35,7 +35,7 @@ def with_enough(samples: Mapping[Kind, ObservedConfidences]) -> dict[Kind, Obser
 
 
 def choose_slopes(
-    observed: Observed, state: str, samples: Mapping[Kind, ObservedConfidences], notes: list[str]
+    observed: Outcomes, state: str, samples: Mapping[Kind, ObservedConfidences], notes: list[str]
 ) -> SlopeForm | None:
     """The slopes of a state that are surely above 0, or None. Whether confidence follows size is tested with the median
     size as the reference: the best of many would look significant too often. A slope has the likeliest reference."""
@@ -70,7 +70,7 @@ def _why_not_visibility(scores: ObservedConfidences) -> str:
 
 
 def _significant(
-    observed: Observed, path: str, samples: Mapping[Kind, ObservedConfidences], form: SlopeForm, notes: list[str]
+    observed: Outcomes, path: str, samples: Mapping[Kind, ObservedConfidences], form: SlopeForm, notes: list[str]
 ) -> SlopeForm:
     """The form without the slopes that are not surely above 0; the least certain one is left out first."""
     runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed))
@@ -114,7 +114,7 @@ class ConfidenceForm:
     confidence_s: float = 0.0
     scored: bool = False
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
+    def estimate(self, observed: Outcomes, resampling: Resampling) -> LearnedConfidence:
         """The distributions of each state, the slopes, and the correlation time."""
         learned = self.laws(observed, resampling)
         if self.confidence_s <= 0 or self.scored:
@@ -122,7 +122,7 @@ class ConfidenceForm:
         column = consecutive_scores(observed, learned).column(resampling)
         return replace(learned, confidence_s=Entry(Key(("persistence", "confidence_s")), column))
 
-    def laws(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
+    def laws(self, observed: Outcomes, resampling: Resampling) -> LearnedConfidence:
         """All but the correlation time."""
         persistent = self._inflation(observed)
         every = {kind: ObservedConfidences.of(observed, kind) for kind in KINDS}
@@ -154,7 +154,7 @@ class ConfidenceForm:
                 learned[kind].append(estimate(chosen[kind], keys, sloped.get(kind), resampling))
         return LearnedConfidence(tuple(learned["true"]), tuple(learned["false"]), tuple(slopes))
 
-    def _inflation(self, observed: Observed) -> Inflation:
+    def _inflation(self, observed: Outcomes) -> Inflation:
         """Inflation of means by confidence that persists; deviations from a standard deviation persist half as long."""
         if self.confidence_s <= 0:
             return Inflation()
@@ -169,7 +169,7 @@ class OneConfidenceForm:
     notes: tuple[str, ...] = ()
     confidence_s: float = 0.0
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> confidence_laws.LearnedConfidenceOfAll:
+    def estimate(self, observed: Outcomes, resampling: Resampling) -> confidence_laws.LearnedConfidenceOfAll:
         """The distribution of each state; that of all states where one has too few detections."""
         if not observed.labelled.scored:
             return confidence_laws.LearnedConfidenceOfAll(())
@@ -183,7 +183,7 @@ class OneConfidenceForm:
         return confidence_laws.LearnedConfidenceOfAll(tuple(learned))
 
 
-def choose_confidence(observed: Observed, scored: bool = False) -> ConfidenceForm | OneConfidenceForm:
+def choose_confidence(observed: Outcomes, scored: bool = False) -> ConfidenceForm | OneConfidenceForm:
     """Choose law and slopes of confidences of each state and kind; `scored`: the score behind misses is behind them."""
     if not observed.labelled.scored:
         return OneConfidenceForm(("confidence: 1 for every detection; the detections have none (-1)",))
@@ -215,7 +215,7 @@ def choose_confidence(observed: Observed, scored: bool = False) -> ConfidenceFor
     return replace(form, notes=tuple(notes), confidence_s=confidence_s, scored=scored)
 
 
-def consecutive_scores(observed: Observed, learned: LearnedConfidence) -> ConsecutiveScores:
+def consecutive_scores(observed: Outcomes, learned: LearnedConfidence) -> ConsecutiveScores:
     """The numbers behind the confidences of true detections, under what was learned."""
     scores = ObservedConfidences.of(observed, "true")
     low, high = np.full(len(scores), np.nan), np.full(len(scores), np.nan)
@@ -229,7 +229,7 @@ def consecutive_scores(observed: Observed, learned: LearnedConfidence) -> Consec
     return ConsecutiveScores.of(observed, scores, LatentScores(low, high))
 
 
-def _persistence_s(observed: Observed, form: ConfidenceForm, notes: list[str]) -> float:
+def _persistence_s(observed: Outcomes, form: ConfidenceForm, notes: list[str]) -> float:
     """Rough correlation time of confidence; 0 with a note if it does not persist, or that is not sure."""
     if not len(observed.steps):
         return 0.0  # which the note on misses says
@@ -246,7 +246,7 @@ def _persistence_s(observed: Observed, form: ConfidenceForm, notes: list[str]) -
 
 
 def _normal_fit(
-    samples: Mapping[Kind, ObservedConfidences], form: SlopeForm | None, observed: Observed
+    samples: Mapping[Kind, ObservedConfidences], form: SlopeForm | None, observed: Outcomes
 ) -> SlopeFit | None:
     """The slopes with normal distributions and a given reference, without replicates; None without slopes."""
     if form is None:

@@ -18,7 +18,7 @@ from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.confidence import clipped_score, clipped_sums, fit_clipped
 from modsim3d.learn.bootstrap import Resampling
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 
 Kind = Literal["true", "false"]
 KINDS: tuple[Kind, Kind] = ("true", "false")
@@ -36,7 +36,7 @@ class ObservedConfidences(Columns):
     thing: Indices  # which thing was detected, a number; one of its own for each whose identity is unknown, shape (n,)
 
     @classmethod
-    def of(cls, observed: Observed, kind: Kind) -> ObservedConfidences:
+    def of(cls, observed: Outcomes, kind: Kind) -> ObservedConfidences:
         """Confidences of true or false detections."""
         results = observed.labelled.results
         rows = observed.detection[observed.found] if kind == "true" else observed.false

@@ -16,7 +16,7 @@ from modsim3d.detector.confidence import ConfidenceLaw as Law
 from modsim3d.io.validation import LEAST
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, widened
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeFit, SlopeForm, product_limit, shift_of
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.persistence import Consecutive, Steps, steps_between
 
 QUANTILES = 21
@@ -260,7 +260,7 @@ class ConsecutiveScores:
     scores: ObservedConfidences
 
     @classmethod
-    def of(cls, observed: Observed, scores: ObservedConfidences, latent: LatentScores) -> ConsecutiveScores:
+    def of(cls, observed: Outcomes, scores: ObservedConfidences, latent: LatentScores) -> ConsecutiveScores:
         """Number behind each true detection, in the order of `observed.found`."""
         usable = np.flatnonzero(~np.isnan(latent.low))
         steps = steps_between(observed.labelled, observed.rows[observed.found[usable]])

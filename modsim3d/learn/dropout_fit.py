@@ -13,7 +13,7 @@ from modsim3d.core.text import in_percent
 from modsim3d.detector.dropout import WHOLLY_VISIBLE
 from modsim3d.learn import lags
 from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, digits, nested
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 
 MISSES_FOR_EACH = 20  # misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996): 10)
 LOG_ODDS_QUANTILES = 32  # numbers that stand for the distribution of log-odds over a learning set
@@ -55,7 +55,7 @@ class EffectTerm:
         return ~np.isin(numbers, others) if self.state is None else numbers == self.state
 
 
-def attribute_values(observed: Observed) -> dict[str, Array]:
+def attribute_values(observed: Outcomes) -> dict[str, Array]:
     """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
     annotations = observed.labelled.annotations
     visible = annotations.visible_fraction[observed.rows]
@@ -86,7 +86,7 @@ class MissFit:
         return float(np.log(np.maximum(np.where(missed, self.chance, 1 - self.chance), 1e-300)).sum())
 
 
-def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: Resampling) -> MissFit | None:
+def fit_misses(observed: Outcomes, effects: tuple[EffectTerm, ...], resampling: Resampling) -> MissFit | None:
     """Fit intercepts and any slopes by maximum likelihood, replicates by one Newton step; None if not determined."""
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
@@ -132,7 +132,7 @@ def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: 
     return MissFit(thetas[:, count:] / scale, errors, errors_of_things, rates, intercepts, learned, full)
 
 
-def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Array:
+def _errors_of_things(observed: Outcomes, fitted: Mask, influence: Array) -> Array:
     """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things:
     sandwich over things (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models"). m
     annotations count, a mask (n,); `influence` is by how much each moves the parameters, shape (m, p)."""
@@ -202,7 +202,7 @@ def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
 
 
 def _mean_rates(
-    observed: Observed, amounts: Array, holds: Mask, thetas: Array, usable: Mask, every: Array, resampling: Resampling
+    observed: Outcomes, amounts: Array, holds: Mask, thetas: Array, usable: Mask, every: Array, resampling: Resampling
 ) -> Array:
     """Mean probability of a miss in each state over all annotations of a label; replicates to first order. Effects have
     amounts (n, effects), and hold in states (states, effects)."""
@@ -224,7 +224,7 @@ def _mean_rates(
     return rates
 
 
-def miss_lags(observed: Observed, chance: Array, slopes: int) -> lags.LagTable:
+def miss_lags(observed: Outcomes, chance: Array, slopes: int) -> lags.LagTable:
     """Products of residuals of misses at all times between, given fitted chances (n,), and so many fitted slopes."""
     residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
     size = residual**2 / variance
@@ -245,7 +245,7 @@ _LOST_NEEDED = 20  # detections followed by a miss, from which a score is told f
 _NODES = (np.arange(400) + 0.5) / 400
 
 
-def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) -> bool:
+def behaves_like_a_score(observed: Outcomes, chance: Array, notes: list[str]) -> bool:
     """Whether detections before a miss are unsure as one score makes them, and not as sure as any other. Each
     annotation had a fitted chance to be missed (n,). Why there is no score is added to the notes."""
     if not observed.labelled.scored or {"score", "confidence"} & observed.without:
@@ -308,7 +308,7 @@ class LearnedScore:
         }
 
 
-def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Resampling) -> LearnedScore:
+def learned_score(observed: Outcomes, chance: Array, slopes: int, resampling: Resampling) -> LearnedScore:
     """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag. Times of the
     autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory that only fades,
     and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test."""
@@ -325,7 +325,7 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
     )
 
 
-def label_memory_s(observed: Observed) -> float:
+def label_memory_s(observed: Outcomes) -> float:
     """Correlation time of the labels of detections; 0 if consecutive ones agree no more than by chance. With κ =
     e^(−Δt/τ) kept, else drawn anew, a share κ + (1 − κ)·Σ p² of them agrees."""
     earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s

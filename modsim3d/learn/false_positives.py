@@ -11,7 +11,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import centres, sizes
 from modsim3d.core.text import in_percent
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, columns_of_one, digits, nested, ratio, widened
-from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.matches import FalseSightings, Outcomes
 from modsim3d.learn.persistent_false_positives import LifetimeFit, NoLifetime, find_lifetime
 from modsim3d.learn.persistent_pairs import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
 
@@ -32,7 +32,7 @@ class FalsePositiveForm:
     lifetime_s: float = 0.0  # mean lifetime of those that stay; 0 where none do
     drifts: bool = False  # whether those drift
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
+    def estimate(self, observed: Outcomes, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
         sightings, lasting = observed.false_sightings, None
         if self.lifetime_s:
@@ -128,7 +128,7 @@ class LearnedFalsePositives:
         return section | {"false_discovery_rate": digits(min(float(learned.discovery_rate.estimate), 0.99))}
 
 
-def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
+def choose_false_positives(observed: Outcomes, model: str = "auto") -> FalsePositiveForm:
     """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
     notes: list[str] = []
     false = len(observed.false_sightings)
@@ -151,7 +151,7 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
     return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
 
 
-def _placing(observed: Observed, worth: tuple[float, float], notes: list[str]) -> Placing:
+def _placing(observed: Outcomes, worth: tuple[float, float], notes: list[str]) -> Placing:
     """Placement of false positives, as far as the data carry it; see `LifetimeFit.worth`."""
     if "places" in observed.without:
         return "uniform"
@@ -185,13 +185,13 @@ def _placing(observed: Observed, worth: tuple[float, float], notes: list[str]) -
     return placing
 
 
-def _in_images(observed: Observed, rows: Indices) -> Array:
+def _in_images(observed: Outcomes, rows: Indices) -> Array:
     """Number of some results in each image, shape (I,)."""
     images = observed.labelled.results.image[rows]
     return np.bincount(images, minlength=len(observed.labelled.images)).astype(np.float64)
 
 
-def _expected(observed: Observed, model: str) -> Array:
+def _expected(observed: Outcomes, model: str) -> Array:
     """Mean number of false positives in each image under a model of their number, shape (I,)."""
     images = len(observed.labelled.images)
     false, follows = _in_images(observed, observed.false_positives), np.ones(images)
@@ -204,7 +204,7 @@ def _expected(observed: Observed, model: str) -> Array:
     return expected
 
 
-def _likelier(observed: Observed, notes: list[str]) -> str:
+def _likelier(observed: Outcomes, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     false, true = _in_images(observed, observed.false), _in_images(observed, observed.true)
     with_true, even = 0.0, 0.0
@@ -226,7 +226,7 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
     return "per_image"
 
 
-def _of_states(observed: Observed, model: str, drawn: Resampling, inflation: float) -> tuple[StateFalsePositives, ...]:
+def _of_states(observed: Outcomes, model: str, drawn: Resampling, inflation: float) -> tuple[StateFalsePositives, ...]:
     results, names = observed.labelled.results, observed.labelled.labels
     states, k = len(observed.states), len(names)
     image, label = results.image[observed.false_positives], results.label[observed.false_positives]

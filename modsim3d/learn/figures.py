@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import errors_between
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Matched, Rule, fits, image_pairs, overlap
+from modsim3d.formats.matching import Matching, Rule, fits, image_pairs, overlap
 from modsim3d.learn.bootstrap import Column, Resampling, ratio
 from modsim3d.learn.box_errors.laws import ErrorMoments
 
@@ -64,7 +64,7 @@ class Ranking:
     annotation_image: Indices  # image of each annotation that is to be detected, shape (T,)
 
     @classmethod
-    def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
+    def of(cls, labelled: LabelledSet, matched: Matching, label: int, images: Mask) -> Ranking:
         """Detections of a label in some images, shape (I,), matched label by label at any confidence."""
         results, annotations = labelled.results, labelled.annotations
         rows = np.flatnonzero(matched.counts & (results.label == label) & images[results.image])
@@ -168,8 +168,8 @@ class Matches:
     """A labelled set with its matches, and how its images are resampled."""
 
     labelled: LabelledSet
-    matched: Matched  # with labels left aside, above the confidence threshold
-    by_label: Matched | None  # label by label, at any confidence: for average precision. None without confidences
+    matched: Matching  # with labels left aside, above the confidence threshold
+    by_label: Matching | None  # label by label, at any confidence: for average precision. None without confidences
     resampling: Resampling
     beta: float = 2.0  # how many times more recall weighs than precision in F-beta
     # Factor by which persistent misses raise variances at least. Replicates cannot tell it for what happened once.
@@ -258,7 +258,7 @@ class Matches:
         return Column(ratio(sums[:, 1], sums[:, 0]), "positive", np.array(float(len(loss))))
 
 
-def confusion_counts(labelled: LabelledSet, matched: Matched, resampling: Resampling, images: Mask) -> Array:
+def confusion_counts(labelled: LabelledSet, matched: Matching, resampling: Resampling, images: Mask) -> Array:
     """Confusion matrices of some images (I,), shape (rows, k + 1, k + 1)."""
     results, annotations, size = labelled.results, labelled.annotations, len(labelled.labels) + 1
     sought = np.flatnonzero(matched.sought & images[annotations.image])
@@ -317,7 +317,7 @@ _FAR, _NEAR, _FITS = range(3)
 
 
 @dataclass(frozen=True, eq=False)
-class _Nearest:
+class _NearestMatches:
     """Best annotation of the same and of another label for n detections, −1 for none, and whether it `_FITS`, is
     `_NEAR` by the rule or `_FAR`, shapes (n,)."""
 
@@ -336,7 +336,7 @@ class _Nearest:
         return np.select([duplicate, localisation, classification, both], places, default=background)
 
 
-def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, rule: Rule) -> ErrorShares:
+def error_shares(labelled: LabelledSet, by_label: Matching, images: Mask, rule: Rule) -> ErrorShares:
     """The shares over some images, shape (I,), of matches label by label by a rule."""
     results, annotations = labelled.results, labelled.annotations
     counts = by_label.counts & images[results.image]
@@ -363,7 +363,7 @@ def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, rule: R
     return ErrorShares(plain, tuple(map(ErrorShare, _KINDS, numbers, gains)))
 
 
-def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask, rule: Rule) -> _Nearest:
+def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask, rule: Rule) -> _NearestMatches:
     """Best annotations for some rows of the results (n,)."""
     results, annotations, size = labelled.results, labelled.annotations, len(rows)
     best = {same: (np.full(size, NOBODY), np.full(size, _FAR)) for same in (True, False)}
@@ -377,7 +377,7 @@ def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask, rule: Rule) -> 
             ours = np.flatnonzero((equal == same) & (place > _FAR))
             order = ours[np.lexsort((quality[ours], place[ours]))]
             where[first[order]], how[first[order]] = target[order], place[order]  # the last, best one stays
-    return _Nearest(*best[True], *best[False])
+    return _NearestMatches(*best[True], *best[False])
 
 
 def _is_near(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> Mask:

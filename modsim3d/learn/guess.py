@@ -13,7 +13,7 @@ import numpy as np
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, out_file
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
 from modsim3d.detector.file.reading import detector_text, find_detector, load_detector, parse_detector
 from modsim3d.detector.file.schema import with_covariance
@@ -62,7 +62,7 @@ class ConditionChange:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class GuessedDetector(Written):
+class GuessedDetector(OutputFiles):
     """A detector file that was guessed, from `guess_detector`, with the keys of both and the change."""
 
     before: dict[str, Any]

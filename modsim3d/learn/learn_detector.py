@@ -11,13 +11,13 @@ from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import in_percent
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, fits, image_pairs, match, overlap, usual_method
+from modsim3d.formats.matching import NOT_SCORED, Matching, Rule, fits, image_pairs, match, overlap, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.io.validation import HORIZON, Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import states as state_maps
 from modsim3d.learn.figures import Figures, Matches, error_shares
 from modsim3d.learn.learned_detector import NEAR_THE_GATE, LearnSettings, barely_matched, check_size, learn, left_out
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.report import LearnReport, NearGate
 from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import StateMap, Transitions
@@ -27,7 +27,7 @@ from modsim3d.learn.states import StateMap, Transitions
 _MOST = 0.5
 
 
-def gate_warning(labelled: LabelledSet, matched: Matched, rule: Rule) -> str | None:
+def gate_warning(labelled: LabelledSet, matched: Matching, rule: Rule) -> str | None:
     """Warning, with figures, if the rule does not match most of what could be a match: detections known to be of a
     vessel that it does not let match that; elsewhere missed annotations that a false detection overlaps. Else None."""
     if rule.method == "provenance" or not matched.sought.any():
@@ -46,7 +46,7 @@ def gate_warning(labelled: LabelledSet, matched: Matched, rule: Rule) -> str | N
     )
 
 
-def _of_own_vessels(labelled: LabelledSet, matched: Matched, rule: Rule, origin: Indices, recall: str) -> str | None:
+def _of_own_vessels(labelled: LabelledSet, matched: Matching, rule: Rule, origin: Indices, recall: str) -> str | None:
     rows = np.flatnonzero(matched.counts & (origin >= 0))
     good, _ = fits(labelled, rows, origin[rows], rule)
     lost = int(np.count_nonzero(~good))
@@ -104,7 +104,7 @@ def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: Lear
     by_label = match(labelled, curve_rule) if labelled.scored else None
     state_map = _state_map(labelled, matched, options)
     image_state = state_map.of_images(labelled.images, labelled.conditions)
-    observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold, settings.without)
+    observed = Outcomes(labelled, matched, state_map.names, image_state, settings.threshold, settings.without)
     learned = learn(observed, _transitions(observed, options), settings)
     matches = Matches(labelled, matched, by_label, learned.resampling, options.beta, learned.numbers.classes.inflation)
     return LearnReport(
@@ -149,7 +149,7 @@ def _check_scores(labelled: LabelledSet) -> None:
     )
 
 
-def _state_map(labelled: LabelledSet, matched: Matched, options: LearnOptions) -> StateMap:
+def _state_map(labelled: LabelledSet, matched: Matching, options: LearnOptions) -> StateMap:
     """The states that are named, that clusters make or that conditions are; only those with images."""
     if options.states and options.clusters:
         raise ModsimError("give the conditions of each state, or a number of states to be found: not both")
@@ -165,7 +165,7 @@ def _state_map(labelled: LabelledSet, matched: Matched, options: LearnOptions) -
     return StateMap({name: given for k, (name, given) in enumerate(state_map.states.items()) if k in used})
 
 
-def _f1(labelled: LabelledSet, matched: Matched, images: Mask) -> float:
+def _f1(labelled: LabelledSet, matched: Matching, images: Mask) -> float:
     """F1 of some images (I,), labels left aside."""
     right = float(images[labelled.results.image[matched.pairs[0]]].sum())
     detected = float((matched.counts & images[labelled.results.image]).sum())
@@ -180,7 +180,7 @@ def _figures_of_conditions(matches: Matches) -> list[Figures]:
     return sorted(found, key=lambda each: -float(np.nan_to_num(each.any_label.f1.estimate)))
 
 
-def _transitions(observed: Observed, options: LearnOptions) -> Transitions:
+def _transitions(observed: Outcomes, options: LearnOptions) -> Transitions:
     """Transitions between states, from the text if it is given, else from the frames."""
     count, interval_s = len(observed.states), options.interval_s
     if interval_s is not None and not interval_s > 0:
@@ -195,7 +195,7 @@ _MANY_NEAR = 0.05
 _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
-def _remarks(observed: Observed) -> Iterator[str]:
+def _remarks(observed: Outcomes) -> Iterator[str]:
     """Remarks on what the data lack, and on what speaks against the matches: labels that are nearly all one off."""
     if not observed.labelled.scored:
         yield (
@@ -218,7 +218,7 @@ def _remarks(observed: Observed) -> Iterator[str]:
             )
 
 
-def _near_gate(observed: Observed, rule: Rule) -> NearGate:
+def _near_gate(observed: Outcomes, rule: Rule) -> NearGate:
     """The states of which many matches are near the least IoU."""
     labelled, annotation = observed.labelled, observed.matched.pairs[1]
     if rule.method not in ("confidence", "optimal") or not len(annotation):

@@ -24,7 +24,7 @@ from modsim3d.learn.box_errors.estimate import BoxErrorForm, LearnedBoxErrors, c
 from modsim3d.learn.box_errors.laws import LAWS
 from modsim3d.learn.confidence import ConfidenceForm, OneConfidenceForm, choose_confidence
 from modsim3d.learn.false_positives import NOT_WRITTEN, FalsePositiveForm, LearnedFalsePositives, choose_false_positives
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.misses import ClassForm, LearnedClasses, choose_classes, filled
 from modsim3d.learn.multiple_boxes import LearnedMultipleBoxes, MultipleBoxForm, choose_multiple_boxes, why_no_room
 from modsim3d.learn.states import Transitions, transitions_of
@@ -58,7 +58,7 @@ class PartForm(Protocol):
     def notes(self) -> tuple[str, ...]:
         """Reason why it is not a richer one: how much data there was, and how much is needed."""
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+    def estimate(self, observed: Outcomes, resampling: Resampling) -> LearnedPart:
         """The numbers of the model, with replicates for the weights of the resampling."""
 
 
@@ -106,7 +106,7 @@ class DetectorForm:
         """Reason why the models are not richer ones."""
         return tuple(note for part in vars(self).values() for note in part.notes)
 
-    def estimate(self, observed: Observed, resampling: bootstrap.Resampling) -> LearnedDetector:
+    def estimate(self, observed: Outcomes, resampling: bootstrap.Resampling) -> LearnedDetector:
         """The numbers of every part, with replicates for the weights of the resampling."""
         return LearnedDetector(
             self.classes.estimate(observed, resampling),
@@ -117,7 +117,7 @@ class DetectorForm:
         )
 
 
-def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
+def choose_form(observed: Outcomes, clutter: str = "auto") -> DetectorForm:
     """The models that the data can carry; see `LearnSettings` for the clutter."""
     multiple_boxes = choose_multiple_boxes(observed)
     if clutter == "auto" and (why := why_no_room(observed)):
@@ -161,10 +161,10 @@ class LearnedDetector:
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class Estimates:
     """Learned numbers, and the data behind them."""
 
-    observed: Observed
+    observed: Outcomes
     form: DetectorForm
     numbers: LearnedDetector
     transitions: Transitions
@@ -197,7 +197,7 @@ class Learned:
         }
 
 
-def learn(observed: Observed, transitions: Transitions, settings: LearnSettings) -> Learned:
+def learn(observed: Outcomes, transitions: Transitions, settings: LearnSettings) -> Estimates:
     """Learn a detector from data that were matched by the rule and at the threshold of the settings. Raises InputError
     if there are too many classes for the memory."""
     check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
@@ -209,14 +209,14 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
     units[None] = resampling.units(state >= 0)
     numbers = form.estimate(observed, resampling)
     numbers = _marked(numbers, unknown_numbers(observed, numbers))
-    return Learned(observed, form, numbers, transitions, resampling, run_s, units)
+    return Estimates(observed, form, numbers, transitions, resampling, run_s, units)
 
 
 _MAX_LOST = 0.01  # share of false detections that may be boxes of vessels that failed the matching
 NEAR_THE_GATE = 0.1  # of IoU: about as many matches pass by less as boxes fail
 
 
-def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
+def unknown_numbers(observed: Outcomes, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
     """Numbers whose intervals would hold the truth too rarely, by state and beginning of their keys, with why."""
     unknown: dict[tuple[str | None, str], str] = {}
     of_state = observed.image_state[observed.labelled.results.image[observed.false]]
@@ -248,7 +248,7 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     return unknown
 
 
-def barely_matched(observed: Observed) -> Indices:
+def barely_matched(observed: Outcomes) -> Indices:
     """Number of matches in each state whose IoU is near the least one; none by other rules than IoU."""
     found, annotation = observed.matched.pairs
     rule, labelled = observed.pairs.edges.rule, observed.labelled
@@ -281,7 +281,7 @@ def check_size(classes: int, states: int, replicates: int) -> None:
         raise InputError("labelled set", [f"{sizes} need {limit}: {advice}"])
 
 
-def _run_s(observed: Observed, form: DetectorForm) -> float:
+def _run_s(observed: Outcomes, form: DetectorForm) -> float:
     """A length of runs that fits the noise which persists longest."""
     longest = max(
         form.classes.class_s,
@@ -327,7 +327,7 @@ def uncertainty_file(detector: Path) -> Path:
     return detector.with_name(f"{detector.stem}.uncertainty.json")
 
 
-def uncertainty_text(learned: Learned, detector: str) -> bytes:
+def uncertainty_text(learned: Estimates, detector: str) -> bytes:
     """The content of the file, given the text of the detector file that it belongs to."""
     written = [_filled(entry) for entry in bootstrap.entries_of(learned.numbers) if _is_written(entry)]
     transitions = learned.transitions

@@ -163,7 +163,7 @@ def best_of(quality: Array, *taken: Indices) -> Indices:
 
 
 @dataclass(frozen=True, eq=False)
-class Overlapping(Columns):
+class OverlapPairs(Columns):
     """Pairs of annotations that overlap, shapes (p,)."""
 
     larger: Indices  # place of the larger one
@@ -172,7 +172,7 @@ class Overlapping(Columns):
     union_px: Array  # the box around both, shape (p, 4)
 
     @classmethod
-    def of(cls, sought: SoughtBoxes, least_share: float) -> Overlapping:
+    def of(cls, sought: SoughtBoxes, least_share: float) -> OverlapPairs:
         """All pairs of which so much of the smaller lies in the larger."""
         found = [np.empty((2, 0), dtype=np.int64)]
         for first, second in image_pairs(sought.image, sought.image, int(sought.image.max(initial=-1)) + 1):
@@ -203,7 +203,7 @@ class CommonBoxes:
     one_box: Mask  # pairs that have one box, be it around both or around one, shape (p,)
 
 
-def common_boxes(sought: SoughtBoxes, loose: FalseBoxes, pairs: Overlapping, free: Mask) -> CommonBoxes:
+def common_boxes(sought: SoughtBoxes, loose: FalseBoxes, pairs: OverlapPairs, free: Mask) -> CommonBoxes:
     """Boxes around two annotations, of which at most one has a match, and which are both free (n,)."""
     found = np.stack([sought.found[pairs.larger], sought.found[pairs.smaller]])
     both_free = free[pairs.larger] & free[pairs.smaller]
@@ -267,7 +267,7 @@ def on_vessel_trials(sought: SoughtBoxes, rows: Indices, hit: Indices, chance: A
 def pair_trials(
     sought: SoughtBoxes,
     rows: Indices,
-    pairs: Overlapping,
+    pairs: OverlapPairs,
     is_merged: Mask,
     hits: Array,
     chance: Array,
@@ -290,7 +290,7 @@ def pair_trials(
     return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance, vessels).take(chosen)
 
 
-def _most(sought: SoughtBoxes, pairs: Overlapping, chosen: Mask) -> Array:
+def _most(sought: SoughtBoxes, pairs: OverlapPairs, chosen: Mask) -> Array:
     """The largest overlap of either vessel of each pair in chosen pairs, 0 without one, shape (p,)."""
     most = np.zeros(len(sought))
     for each in (pairs.larger, pairs.smaller):

@@ -18,10 +18,10 @@ from modsim3d.core.text import counted
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, ON_VESSEL, SPLIT
 from modsim3d.formats.labelled import Images, LabelledSet
-from modsim3d.formats.matching import Matched, Rule
+from modsim3d.formats.matching import Matching, Rule
 from modsim3d.learn import match_shapes
 from modsim3d.learn.bootstrap import SIGNIFICANT, Resampling, resample, spread
-from modsim3d.learn.match_shapes import CommonBoxes, FalseBoxes, Overlapping, SoughtBoxes, Trials
+from modsim3d.learn.match_shapes import CommonBoxes, FalseBoxes, OverlapPairs, SoughtBoxes, Trials
 
 # ---- How surely a box says whether it is around one ----
 
@@ -44,11 +44,11 @@ class Recognition:
         return np.asarray((self.mistaken.max(axis=0) <= MAX_MISTAKEN) & (self.recognized >= _MIN_RECOGNIZED))
 
     @classmethod
-    def of(cls, sought: SoughtBoxes, pairs: Overlapping, whole: Mask) -> Recognition:
+    def of(cls, sought: SoughtBoxes, pairs: OverlapPairs, whole: Mask) -> Recognition:
         """Find it from the errors of vessels that overlap none, are about as large and are not in two parts (n,). If
         few are known, all boxes of one vessel are mistaken, and none around both is recognized."""
         lonely = sought.found & whole
-        touching = Overlapping.of(sought, 1e-9)
+        touching = OverlapPairs.of(sought, 1e-9)
         lonely[touching.larger] = lonely[touching.smaller] = False
         known = np.flatnonzero(lonely)
         count = min(_NEIGHBOURS, len(known))
@@ -147,7 +147,7 @@ NONE = VesselBoxes(_NO_ROWS, _NO_ROWS)
 _NO_PAIRS = VesselPairs(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.empty(0))
 
 
-def kinds_of(labelled: LabelledSet, matched: Matched, used: Mask) -> MatchTypes:
+def kinds_of(labelled: LabelledSet, matched: Matching, used: Mask) -> MatchTypes:
     """Types of the detections of the images that are used (I,): as a run says, or as their boxes look."""
     annotations, results = labelled.annotations, labelled.results
     rows = np.flatnonzero(matched.sought & used[annotations.image])
@@ -171,7 +171,7 @@ def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, 
     kind_of_match = np.where(own, np.append(kind, NOBODY)[sought.row], NOBODY)
     merged = np.flatnonzero((kind_of_match == MERGED) & (place[np.append(results.partner, NOBODY)[sought.row]] >= 0))
     smaller = place[results.partner[sought.row[merged]]]
-    pairs = Overlapping.of(sought, MIN_OVERLAP)
+    pairs = OverlapPairs.of(sought, MIN_OVERLAP)
     keys = _unordered(pairs.larger, pairs.smaller, len(rows))
     is_merged = np.isin(keys, _unordered(merged, smaller, len(rows)))
     single, split = own & (kind_of_match != MERGED), np.flatnonzero(kind_of_match == SPLIT)
@@ -208,7 +208,7 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Fa
     row[parts.place] = parts.larger
     detected = replace(sought, row=row)  # a vessel in two parts is not missed
     left = loose.without(np.concatenate([parts.larger, parts.smaller]))
-    pairs = Overlapping.of(sought, MIN_OVERLAP)
+    pairs = OverlapPairs.of(sought, MIN_OVERLAP)
     common = match_shapes.common_boxes(sought, left, pairs, whole)
     left = left.without(common.row)
     single = sought.found.copy()
@@ -266,7 +266,7 @@ def _copies(sought: SoughtBoxes, loose: FalseBoxes, place: Indices, doubled: Ind
 
 
 def _by_chance(
-    sought: SoughtBoxes, left: FalseBoxes, pairs: Overlapping, tried: Mask, whole: Mask, images: Images, rule: Rule
+    sought: SoughtBoxes, left: FalseBoxes, pairs: OverlapPairs, tried: Mask, whole: Mask, images: Images, rule: Rule
 ) -> dict[str, Array]:
     """Numbers of remaining false positives that look like second boxes or parts (n,), or like boxes around two (p,)."""
     chance = {name: np.zeros(len(sought)) for name in ("duplicates", "splits")}
@@ -281,7 +281,7 @@ def _by_chance(
 
 
 def _merge_trials(
-    detected: SoughtBoxes, rows: Indices, pairs: Overlapping, common: CommonBoxes, known: Recognition, by_pair: Array
+    detected: SoughtBoxes, rows: Indices, pairs: OverlapPairs, common: CommonBoxes, known: Recognition, by_pair: Array
 ) -> Trials:
     """Pairs that could have merged, less the boxes of one vessel (p,) and the false positives (p,) that look so."""
     is_merged = np.zeros(len(pairs), dtype=bool)
@@ -294,7 +294,7 @@ def _merge_trials(
     return match_shapes.pair_trials(detected, rows, pairs, is_merged, hits, chance, unambiguous, one_box)
 
 
-def _ambiguous_pairs(detected: SoughtBoxes, pairs: Overlapping, recognition: Recognition) -> VesselPairs:
+def _ambiguous_pairs(detected: SoughtBoxes, pairs: OverlapPairs, recognition: Recognition) -> VesselPairs:
     """Places of pairs of which the box of the first does not tell whether it is around both."""
     unsure, found = ~recognition.unambiguous, []
     larger, smaller = pairs.larger, pairs.smaller
@@ -346,7 +346,7 @@ _TRIALS, _RUNS = 200, 24
 
 
 @dataclass(frozen=True, eq=False)
-class CountedAs:
+class BoxTypes:
     """Type that each detection counts as: types that the data do not clearly show count as if they did not exist."""
 
     detection: Indices  # row of the result that detects each annotation, −1 where none does, shape (T,)
@@ -361,14 +361,14 @@ class CountedAs:
     notes: tuple[str, ...]
 
 
-def counted_as(labelled: LabelledSet, matched: Matched, used: Mask, without: frozenset[str] = frozenset()) -> CountedAs:
+def counted_as(labelled: LabelledSet, matched: Matching, used: Mask, without: frozenset[str] = frozenset()) -> BoxTypes:
     """Types that the detections of the images that are used (I,) count as; kinds in `without` are left out."""
     false = matched.false[used[labelled.results.image[matched.false]]]
     one_vessel = np.ones(len(labelled.results), dtype=bool)
     in_merged_box, ambiguous = np.zeros((2, len(labelled.annotations)), dtype=bool)
     wanted = [name for name in NAMES if name not in without]
     if not wanted:
-        return CountedAs(matched.detection, in_merged_box, ambiguous, false, false, NONE, one_vessel, {}, {}, ())
+        return BoxTypes(matched.detection, in_merged_box, ambiguous, false, false, NONE, one_vessel, {}, {}, ())
     kinds, notes = kinds_of(labelled, matched, used), list[str]()
     thresholds, trials = dict[str, float](), dict[str, Trials]()
     for name, least in _shown(kinds, wanted, labelled.images, notes).items():
@@ -399,7 +399,7 @@ def counted_as(labelled: LabelledSet, matched: Matched, used: Mask, without: fro
     false = np.setdiff1d(np.flatnonzero(matched.counts & used[labelled.results.image]), detection[detection >= 0])
     free = np.setdiff1d(false, np.concatenate(of_vessel))
     said = tuple(notes)
-    return CountedAs(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, said)
+    return BoxTypes(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, said)
 
 
 def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:

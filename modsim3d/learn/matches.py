@@ -13,10 +13,10 @@ from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import centres, errors_between, move, sizes
 from modsim3d.detector.false_positive_placement import depths_px, sea_levels
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
-from modsim3d.formats.matching import Matched, Rule
+from modsim3d.formats.matching import Matching, Rule
 from modsim3d.learn.box_errors.fit import ErrorFit, fit_errors, fit_without_gate
 from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_student_t
-from modsim3d.learn.match_types import CountedAs, counted_as
+from modsim3d.learn.match_types import BoxTypes, counted_as
 from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
 
 # ---- The likeliest distribution of each kind for the box errors of a state ----
@@ -197,19 +197,19 @@ class Pairs:
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class Outcomes:
     """Annotations that are to be detected, and what became of them at a least confidence. Images have a state, −1 for
     none, (I,). `without` are the models of `learned.RICHER` left out."""
 
     labelled: LabelledSet
-    matched: Matched
+    matched: Matching
     states: tuple[str, ...]
     image_state: Indices
     threshold: float
     without: frozenset[str] = frozenset()
 
     @cached_property
-    def kinds(self) -> CountedAs:
+    def kinds(self) -> BoxTypes:
         """Types that detections count as: second boxes, parts of vessels and boxes around two are told from others."""
         return counted_as(self.labelled, self.matched, self.image_state >= 0, self.without)
 
@@ -325,7 +325,7 @@ class Observed:
 _USUAL_RUNS = 24
 
 
-def usual_run_s(observed: Observed) -> float:
+def usual_run_s(observed: Outcomes) -> float:
     """Length of runs of frames in which misses that persist look independent; 0 where frames are not consecutive."""
     times = observed.labelled.images.time_s
     if not len(observed.steps):
@@ -333,7 +333,7 @@ def usual_run_s(observed: Observed) -> float:
     return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
 
 
-def kept_share(observed: Observed, correlation_s: float) -> float:
+def kept_share(observed: Outcomes, correlation_s: float) -> float:
     """Share of noise with a correlation time, 0 if it does not persist, that is kept from one frame to the next."""
     return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s)) if correlation_s > 0 else 0.0
 
@@ -354,7 +354,7 @@ class FalseSightings(Columns):
     known: Mask  # whether the image has a horizon that is known, shape (n,)
 
     @classmethod
-    def of(cls, observed: Observed) -> FalseSightings:
+    def of(cls, observed: Outcomes) -> FalseSightings:
         """False detections of a labelled set."""
         results, images = observed.labelled.results, observed.labelled.images
         rows = observed.false_positives

@@ -15,7 +15,7 @@ from modsim3d.learn import bootstrap, dropout_fit
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, resample, widened
 from modsim3d.learn.dropout_fit import EffectTerm, MissFit, fit_misses, miss_lags
 from modsim3d.learn.lags import latent_share, vessel_noise, why_none
-from modsim3d.learn.matches import Observed, kept_share, usual_run_s
+from modsim3d.learn.matches import Outcomes, kept_share, usual_run_s
 from modsim3d.learn.persistence import Consecutive, why_no_steps
 
 # ---- Effects on misses that performance states have for themselves ----
@@ -35,7 +35,7 @@ class SplitEffects:
 
 
 def own_effects(
-    observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
+    observed: Outcomes, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit]:
     """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit, begun with
     the attribute that gains most. Twice the gain in log-likelihood must exceed the logarithm of the number of
@@ -66,7 +66,7 @@ def own_effects(
     return effects, fit
 
 
-def _states_with_enough(observed: Observed, effects: int) -> list[int]:
+def _states_with_enough(observed: Outcomes, effects: int) -> list[int]:
     states, missed = len(observed.states), observed.missed.astype(bool)
     misses = np.bincount(observed.state[missed], minlength=states)
     finds = np.bincount(observed.state[~missed], minlength=states)
@@ -74,7 +74,7 @@ def _states_with_enough(observed: Observed, effects: int) -> list[int]:
     return [int(state) for state in enough[np.argsort(-(misses + finds)[enough], kind="stable")]]
 
 
-def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enough: list[int]) -> list[SplitEffects]:
+def _splits(observed: Outcomes, effects: tuple[EffectTerm, ...], name: str, enough: list[int]) -> list[SplitEffects]:
     """Fits in which states have a slope of an attribute for themselves, by doublings and by units, and gains from the
     likelier of both forms with one slope for all. States that have too little share the slope of the one with most."""
     once = resample(observed.labelled.images, 0, 0)
@@ -93,7 +93,7 @@ def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enou
     return [replace(split, gain=split.gain - max(values, default=-np.inf)) for split in splits]
 
 
-def crowds(observed: Observed, labels: int) -> Array:
+def crowds(observed: Outcomes, labels: int) -> Array:
     """Mean number of sightings of the same thing in the same state, of each sighting, shape (states, labels)."""
     thing = np.where(observed.thing >= 0, observed.thing, -1 - np.arange(len(observed.rows)))
     cell = observed.state * labels + observed.label
@@ -117,7 +117,7 @@ class ClassForm:
     things_keep: bool = False
     scored: bool = False
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
+    def estimate(self, observed: Outcomes, resampling: Resampling) -> LearnedClasses:
         """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
         fit = fit_misses(observed, self.effects, resampling) if self.effects else None
         class_s, share, kept, level, score = None, None, 0.0, 0.0, None
@@ -202,7 +202,7 @@ class LearnedClasses:
         }
 
 
-def choose_classes(observed: Observed) -> ClassForm:
+def choose_classes(observed: Outcomes) -> ClassForm:
     """Choose the effects on misses that the data can carry, and whether misses persist."""
     notes: list[str] = []
     candidates = () if "effects" in observed.without else _candidates(observed, notes)
@@ -214,7 +214,7 @@ def choose_classes(observed: Observed) -> ClassForm:
     return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep, scored)
 
 
-def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
+def _candidates(observed: Outcomes, notes: list[str]) -> tuple[EffectTerm, ...]:
     """Attributes that are given for every annotation and vary, if there are enough misses for them."""
     chosen = []
     for name, column in dropout_fit.attribute_values(observed).items():
@@ -237,7 +237,7 @@ def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
 
 
 def _significant(
-    observed: Observed, effects: tuple[EffectTerm, ...], notes: list[str]
+    observed: Outcomes, effects: tuple[EffectTerm, ...], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit | None]:
     """Effects after the least certain ones were left out one by one, and the fit with those that remain."""
     runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed)) if effects else None
@@ -268,7 +268,7 @@ def _significant(
 
 
 def _in_units(
-    observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
+    observed: Outcomes, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit]:
     """Effects by units instead of doublings where misses are clearly likelier with them, gains over the inflation of
     the slope's variance, and the fit."""
@@ -288,7 +288,7 @@ def _in_units(
     return effects, fit
 
 
-def _persistence_s(observed: Observed, chances: MissFit | None, notes: list[str]) -> float:
+def _persistence_s(observed: Outcomes, chances: MissFit | None, notes: list[str]) -> float:
     """Rough correlation time of misses; 0 with a note if they do not persist, or that is not sure."""
     if not len(observed.steps):
         notes.append(f"persistence: none; {why_no_steps(observed.labelled)}")
@@ -303,7 +303,7 @@ def _persistence_s(observed: Observed, chances: MissFit | None, notes: list[str]
     return 0.0
 
 
-def _things_keep(observed: Observed, slopes: int, chances: MissFit | None, notes: list[str]) -> bool:
+def _things_keep(observed: Outcomes, slopes: int, chances: MissFit | None, notes: list[str]) -> bool:
     """Whether each thing surely keeps a share of the noise of misses; a note if not."""
     if chances is None or "vessels" in observed.without:
         return False
@@ -313,7 +313,7 @@ def _things_keep(observed: Observed, slopes: int, chances: MissFit | None, notes
     return not why
 
 
-def _empty_columns(observed: Observed) -> list[str]:
+def _empty_columns(observed: Outcomes) -> list[str]:
     notes, k = [], len(observed.labelled.labels)
     counts = np.bincount(observed.state * k + observed.label, minlength=len(observed.states) * k).reshape(-1, k)
     for state, label in np.argwhere(counts == 0):
@@ -326,12 +326,12 @@ def _empty_columns(observed: Observed) -> list[str]:
     return notes
 
 
-def _plain_fit(observed: Observed) -> MissFit | None:
+def _plain_fit(observed: Outcomes) -> MissFit | None:
     """Misses by state and label alone, without replicates."""
     return fit_misses(observed, (), resample(observed.labelled.images, 0, 0))
 
 
-def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
+def consecutive_misses(observed: Outcomes, fit: MissFit | None) -> Consecutive:
     """Residuals of misses in consecutive frames from fitted chances of a miss, or one chance for all if None. A pair's
     expected product is that of two misses read from the same draw, scaled by how large the earlier squared residual
     was. Runs of frames with more misses than others then have larger products and larger expected products alike, and
@@ -345,7 +345,7 @@ def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
 
 
 def _slopes(
-    observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: float
+    observed: Outcomes, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: float
 ) -> tuple[LearnedEffect, ...]:
     learned = []
     for place, effect in enumerate(effects):
@@ -357,14 +357,14 @@ def _slopes(
     return tuple(learned)
 
 
-def _intercepts(observed: Observed, fit: MissFit) -> tuple[Entry, ...]:
+def _intercepts(observed: Outcomes, fit: MissFit) -> tuple[Entry, ...]:
     labels, count = observed.labelled.labels, np.array(float(len(observed.rows)))
     keys = [Key(("dropout", "intercept"), name, (labels,)) for name in observed.states]
     columns = [Column(fit.intercepts[:, index], "mean", np.full(len(labels), count)) for index in range(len(keys))]
     return tuple(Entry(key, column) for key, column in zip(keys, columns, strict=True))
 
 
-def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:
+def _confusion(observed: Outcomes, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:
     """Confusion matrix of each state, at rates that effects leave; counts have an inflation (states, labels)."""
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)

@@ -13,7 +13,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, ratio, widened
 from modsim3d.learn.match_shapes import Trials
 from modsim3d.learn.match_types import THRESHOLDS, hits_and_trials
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation, steps_of, stretches_of
 
 # ---- How long two vessels that overlap come out as one box, or do not ----
@@ -79,7 +79,7 @@ class MultipleBoxForm:
     merge_s: float = 0.0
     on_vessel_s: float | None = None
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedMultipleBoxes:
+    def estimate(self, observed: Outcomes, resampling: Resampling) -> LearnedMultipleBoxes:
         """The probability of each, and the correlation time of merges."""
         entries, merge_s, factor = [], None, dict[str, float]()
         if self.merge_s > 0:
@@ -111,7 +111,7 @@ class LearnedOnVessels:
     std: Entry
 
     @classmethod
-    def of(cls, observed: Observed, lifetime_s: float, resampling: Resampling) -> LearnedOnVessels:
+    def of(cls, observed: Outcomes, lifetime_s: float, resampling: Resampling) -> LearnedOnVessels:
         """Their numbers; a rough lifetime of 0 means that they do not stay."""
         trials, on = observed.kinds.trials["on_vessels"], observed.kinds.on_vessels
         lifetime, factor = None, 1.0
@@ -173,7 +173,7 @@ class LearnedMultipleBoxes:
         return {}
 
 
-def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
+def choose_multiple_boxes(observed: Outcomes) -> MultipleBoxForm:
     """Choose the types that the data show."""
     kinds, notes = observed.kinds, list(observed.kinds.notes)
     merge_s, on_vessel_s = (
@@ -184,7 +184,7 @@ def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
     return MultipleBoxForm(shown, tuple(notes), merge_s, on_vessel_s if "on_vessels" in kinds.trials else None)
 
 
-def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> float:
+def _lasting_s(observed: Outcomes, name: str, key: str, notes: list[str]) -> float:
     """Rough correlation time of a kind; 0 with a note if it does not persist, or that is not sure."""
     trials = observed.kinds.trials.get(name)
     if trials is None or not len(observed.steps):
@@ -200,7 +200,7 @@ def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> flo
     return 0.0
 
 
-def why_no_room(observed: Observed) -> str:
+def why_no_room(observed: Outcomes) -> str:
     """Note if a state has fewer false detections than second boxes and parts alone may make, with every vessel long,
     see `detector.file.agreement`; else empty."""
     sums = [(t.hits.sum(), t.weight.sum()) for name, t in observed.kinds.trials.items() if name in _EXTRA]

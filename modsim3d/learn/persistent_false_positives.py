@@ -14,7 +14,7 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.learn.bootstrap import Column, Resampling, widened
-from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.matches import FalseSightings, Outcomes
 from modsim3d.learn.persistence import LEVEL
 from modsim3d.learn.persistent_pairs import Displacements, Lag, OrderedFrames, far_pairs, lags_of
 
@@ -232,7 +232,7 @@ class NoLifetime:
     why: str
 
 
-def find_lifetime(observed: Observed, expected: Array, known: bool = False) -> LifetimeFit | NoLifetime:
+def find_lifetime(observed: Outcomes, expected: Array, known: bool = False) -> LifetimeFit | NoLifetime:
     """Persistent false positives, given mean numbers in images (I,); if `known` to stay, pairs may be as by chance."""
     sightings = observed.false_sightings
     ordered = OrderedFrames.of(observed)
@@ -264,7 +264,7 @@ def find_lifetime(observed: Observed, expected: Array, known: bool = False) -> L
 _NONE = "no two frames of a sequence have times"
 
 
-def _count(observed: Observed, expected: Array, lags: Sequence[Lag], far: Displacements, px_s: float) -> CountedPairs:
+def _count(observed: Outcomes, expected: Array, lags: Sequence[Lag], far: Displacements, px_s: float) -> CountedPairs:
     """Count near pairs of false positives that drift at a speed."""
     sightings, images = observed.false_sightings, len(observed.labelled.images)
     false = np.bincount(sightings.image, minlength=images).astype(float)

@@ -11,7 +11,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges, run_starts
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Resampling, widened
-from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.matches import FalseSightings, Outcomes
 
 _NEAR = 0.5
 _MIN_NEAR_PX = 4.0
@@ -69,7 +69,7 @@ class OrderedFrames:
     gap_s: float  # median time between consecutive frames
 
     @classmethod
-    def of(cls, observed: Observed) -> OrderedFrames | None:
+    def of(cls, observed: Outcomes) -> OrderedFrames | None:
         """That of a labelled set; None without two frames of one sequence."""
         images = observed.labelled.images
         used = np.flatnonzero((observed.image_state >= 0) & np.isfinite(images.time_s))
@@ -109,7 +109,7 @@ def lags_of(ordered: OrderedFrames, sightings: FalseSightings, most_s: float) ->
         yield Lag(apart_s, frames, rows, Displacements.between(sightings, *rows))
 
 
-def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
+def far_pairs(observed: Outcomes, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
     """Pairs in images of one size that show nothing twice: of other sequences, or far in time. Some of many are drawn;
     of few all count, since a chance estimated as 0 would make one pair look as if it stayed."""
     images, count = observed.labelled.images, len(sightings)

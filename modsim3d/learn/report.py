@@ -8,11 +8,11 @@ import numpy as np
 from modsim3d.core.boxes import Overlaps, iou
 from modsim3d.core.text import counted, in_percent, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Matched
+from modsim3d.formats.matching import Matching
 from modsim3d.learn.bootstrap import MIN_UNITS, Column
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.figures import ErrorShares, Figures
-from modsim3d.learn.learned_detector import Learned, unknown_numbers
+from modsim3d.learn.learned_detector import Estimates, unknown_numbers
 from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import StateMap
 
@@ -53,11 +53,11 @@ class LearnReport:
     """Everything that is reported."""
 
     labelled: LabelledSet
-    by_label: Matched | None  # label by label, for average precision and its curves; None without confidences
+    by_label: Matching | None  # label by label, for average precision and its curves; None without confidences
     conditions: Sequence[Figures]  # the largest F1 first
     states: Sequence[Figures]
     state_map: StateMap
-    learned: Learned
+    learned: Estimates
     shares: ErrorShares | None  # what average precision is lost to; None without confidences
     level: float  # of the confidence intervals
     beta: float  # how many times more recall weighs than precision in F-beta

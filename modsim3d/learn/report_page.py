@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Items, Table, Text, Tiles, Where
+from modsim3d.core.document import Block, BlockRow, Cell, Document, Figure, Heading, Items, Table, Text, Tiles, Where
 from modsim3d.core.text import UNKNOWN, counted, in_percent, number, significant, with_interval
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, stationary_shares
 from modsim3d.learn.bootstrap import Column
@@ -302,7 +302,7 @@ def document(
             *sections,
             *_curve_charts(report),
             Heading("Box errors"),
-            Beside(list(_scatters(report))),
+            BlockRow(list(_scatters(report))),
             *_share_chart(report),
             *_reality(report),
             Heading("Figures"),
@@ -377,7 +377,7 @@ def _curve_charts(report: LearnReport) -> list[Block]:
     labels = enumerate(report.labelled.labels)
     return [
         Heading(title),
-        Beside([Figure(partial(_curve_chart, report, label), f"{name}: {said}") for label, name in labels]),
+        BlockRow([Figure(partial(_curve_chart, report, label), f"{name}: {said}") for label, name in labels]),
     ]
 
 

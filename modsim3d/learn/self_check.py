@@ -21,8 +21,8 @@ from modsim3d.detector.records import FALSE_KINDS, ON_VESSEL, CameraFrames, Targ
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet, Results
 from modsim3d.formats.matching import image_pairs, match
 from modsim3d.learn.bootstrap import Entry, resample, with_entries
-from modsim3d.learn.learned_detector import Learned, LearnSettings, choose_form
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.learned_detector import Estimates, LearnSettings, choose_form
+from modsim3d.learn.matches import Outcomes
 from modsim3d.runs.tracker_view import anonymised
 from modsim3d.tracking.scores.association import hota_of, joined_sequence, metrics
 from modsim3d.tracking.trackers.interface import CameraFacts
@@ -66,7 +66,7 @@ class SelfCheck:
     why_none: str = ""
 
     @classmethod
-    def of(cls, learned: Learned, settings: LearnSettings) -> SelfCheck:
+    def of(cls, learned: Estimates, settings: LearnSettings) -> SelfCheck:
         """The check of what was learned, or why it cannot be made."""
         try:
             return cls(self_check(learned, settings, SEEDS))
@@ -89,7 +89,7 @@ class SelfCheck:
         return f"{checked}{': ' if some else ''}{listed(some) if some else ''}"
 
 
-def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[RealityComparison, ...]:
+def self_check(learned: Estimates, settings: LearnSettings, seeds: int) -> tuple[RealityComparison, ...]:
     """Comparisons where the detector was not learned, those that differ most first. Each half stands for itself:
     summed, one's excess hides the other's. A seed has a replicate of the learned numbers, so that the spread has what a
     half leaves open. Raises ModsimError if there is too little to split, or the sizes of images are not known."""
@@ -113,7 +113,7 @@ def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[R
     return tuple(_adjusted(sorted(rows, key=lambda row: row.p_value)))
 
 
-def _models_of(seen: Observed, learned: Learned, settings: LearnSettings, seeds: int) -> Iterator[DetectorModel]:
+def _models_of(seen: Outcomes, learned: Estimates, settings: LearnSettings, seeds: int) -> Iterator[DetectorModel]:
     """Detectors learned from one half: replicates of its numbers, the estimate where one is no detector."""
     form = choose_form(seen, settings.clutter)
     numbers = form.estimate(seen, resample(seen.labelled.images, seeds, settings.seed, learned.run_s))
@@ -137,7 +137,7 @@ def _replicate(entry: Entry, row: int) -> Entry:
     return replace(entry, column=replace(entry.column, values=chosen[None]))
 
 
-def _first_half(observed: Observed) -> Mask:
+def _first_half(observed: Outcomes) -> Mask:
     """Images of one half of each state: whole films, all cameras of a run, or every other quarter of a single one."""
     images, half = observed.labelled.images, np.zeros(len(observed.image_state), dtype=bool)
     sequence = images.sequence if observed.labelled.results.origin is None else np.zeros_like(images.sequence)
@@ -189,7 +189,7 @@ def _adjusted(rows: Sequence[RealityComparison]) -> Iterator[RealityComparison]:
         yield replace(row, p_value=highest)
 
 
-def counts_of(observed: Observed, whole: Observed) -> Counts:
+def counts_of(observed: Outcomes, whole: Outcomes) -> Counts:
     """Counts that a tracker feels of some results; ranges of size and distance are those of the `whole` data."""
     found = observed.missed == 0
     counts = {"share found": _mean(found)} | _by_range(observed, whole, found) | _of_boxes(observed)
@@ -200,7 +200,7 @@ def _mean(values: Array | Mask) -> tuple[float, float]:
     return float(np.sum(values)), float(len(values))
 
 
-def _by_range(observed: Observed, whole: Observed, found: Mask) -> Counts:
+def _by_range(observed: Outcomes, whole: Outcomes, found: Mask) -> Counts:
     """Share found by thirds of size and of distance, and of the visible share where it is known."""
     counts: Counts = {}
     for unit, column in {"px large": "size_px", "m away": "depth_m"}.items():
@@ -222,7 +222,7 @@ def _by_range(observed: Observed, whole: Observed, found: Mask) -> Counts:
     return counts
 
 
-def _of_boxes(observed: Observed) -> Counts:
+def _of_boxes(observed: Outcomes) -> Counts:
     """IoU of matches, and changes of the centre's error from frame to frame."""
     labelled, rows = observed.labelled, observed.rows[observed.found]
     boxes = labelled.results.boxes_px[observed.detection[observed.found]]
@@ -238,7 +238,7 @@ def _of_boxes(observed: Observed) -> Counts:
     }
 
 
-def _of_time(observed: Observed, found: Mask) -> Counts:
+def _of_time(observed: Outcomes, found: Mask) -> Counts:
     """Lengths of runs of sightings and of gaps between them, and the confidence before a miss."""
     steps = observed.steps
     counts: Counts = {}
@@ -265,7 +265,7 @@ def _of_time(observed: Observed, found: Mask) -> Counts:
     return counts
 
 
-def _of_false(observed: Observed) -> Counts:
+def _of_false(observed: Outcomes) -> Counts:
     """False detections of an image, and the share of them that lies on a vessel."""
     results, annotations = observed.labelled.results, observed.labelled.annotations
     images, false = np.flatnonzero(observed.image_state >= 0), observed.false
@@ -282,7 +282,7 @@ def _of_false(observed: Observed) -> Counts:
     }
 
 
-def hota_counts(observed: Observed) -> Counts:
+def hota_counts(observed: Outcomes) -> Counts:
     """HOTA of trackers, counted once for each vessel in an image, with settings for scenes not shipped; none without
     identities, times of images or an installed library of trackers."""
     labelled, rows = observed.labelled, observed.labelled.annotations
@@ -322,7 +322,7 @@ class _Films:
     images: tuple[Indices, ...]  # of each film, in order of time
 
     @classmethod
-    def of(cls, observed: Observed) -> _Films:
+    def of(cls, observed: Outcomes) -> _Films:
         images = observed.labelled.images
         order = np.lexsort((images.time_s, images.sequence))
         ours = observed.image_state[order] >= 0
@@ -335,7 +335,7 @@ class _Films:
             frame[part] = np.arange(len(part)) * len(parts) + number
         return cls(len(parts), frame, tuple(parts))
 
-    def tracks(self, observed: Observed, named: NamedTracker) -> Tracks:
+    def tracks(self, observed: Outcomes, named: NamedTracker) -> Tracks:
         """Tracks over the detections in all films, but for those that lie where nothing counts."""
         images, results = observed.labelled.images, observed.labelled.results
         confidence = np.nan_to_num(results.confidence, nan=1.0)

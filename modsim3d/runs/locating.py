@@ -130,7 +130,7 @@ _STEPS_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Located(Result):
+class Locations(Result):
     """n boxes in the world. NaN stands for what is not given.
 
     Attributes:
@@ -161,7 +161,9 @@ class Located(Result):
         return len(self.bearing_rad)
 
 
-def locate(scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, attitude: Attitude = "measured") -> Located:
+def locate(
+    scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, attitude: Attitude = "measured"
+) -> Locations:
     """Places of the detections of a camera in the world, as far as a tracker can know.
 
         for frame in modsim3d.simulate_frames(modsim3d.load_scene("strait", steps=2)):
@@ -192,9 +194,10 @@ def locate(scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, atti
             view = Viewpoints.of(scene, chosen, at, measured=attitude == "measured")
             parts.append(_located(view, frame, boxes[rows], law.take(rows)))
     if not parts:
-        return Located(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
+        return Locations(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
     back = np.argsort(order, kind="stable")
-    return Located(*(np.concatenate([getattr(part, each.name) for part in parts])[back] for each in fields(Located)))
+    names = (each.name for each in fields(Locations))
+    return Locations(*(np.concatenate([getattr(part, name) for part in parts])[back] for name in names))
 
 
 def _checked(
@@ -234,7 +237,7 @@ def seen_at(camera: Camera, poses: CameraPoses, points_px: Array) -> Array:
     return np.stack([bearing, look(camera.intrinsics, poses, points_px[:, [0, 2]])[:, 1]], axis=-1)
 
 
-def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErrors) -> Located:
+def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErrors) -> Locations:
     """Boxes (n, 4), each in a frame of the viewpoints, shape (n,)."""
     points = points_of(boxes_px) - errors.means
     poses = _rows(view.poses(), frame)
@@ -316,14 +319,14 @@ def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cam
 
 def _given(
     bearing: Array, inverse: Array, covariance: Array, cameras_m: Array, horizon: Array, beside: Mask, footless: Mask
-) -> Located:
-    """Result for each box: see `Located`."""
+) -> Locations:
+    """Result for each box: see `Locations`."""
     no_bearing, no_range = beside | np.isnan(bearing), footless | np.isnan(inverse)
     bearing, inverse = np.where(no_bearing, np.nan, bearing), np.where(no_range, np.nan, inverse)
     deviation = np.sqrt(covariance[:, 1, 1])
     placed = (inverse > horizon) & (deviation <= MAX_RANGE_ERROR * inverse) & ~no_bearing
     positions, spreads = first_order(bearing, np.where(placed, inverse, np.nan), covariance, cameras_m)
-    return Located(
+    return Locations(
         bearing_rad=bearing,
         bearing_std_rad=np.where(no_bearing, np.nan, np.sqrt(covariance[:, 0, 0])),
         inverse_range_per_m=inverse,

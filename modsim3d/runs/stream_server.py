@@ -62,7 +62,7 @@ SEND_BYTES = 1 << 16  # handed to the system at once, and about what it keeps: t
 DROP_BYTES, DROP_S = 1 << 16, 0.05  # what a reader has sent is dropped in such pieces, so often, to spare the processor
 
 
-class ReaderGone(Exception):
+class ReaderLoss(Exception):
     """A reader has closed its connection before it had everything."""
 
 
@@ -85,7 +85,7 @@ class Reader:
         return bool(self._pending) or self.next < backlog.stop
 
     def send(self, backlog: Backlog) -> None:
-        """Send what its system takes at once. Raises ReaderGone if it is not there any more."""
+        """Send what its system takes at once. Raises ReaderLoss if it is not there any more."""
         if not self._pending:
             chunks, self.next = backlog.from_number(self.next, SEND_BYTES)
             self._pending = memoryview(chunks)
@@ -94,31 +94,31 @@ class Reader:
         except BlockingIOError:
             return
         except OSError:
-            raise ReaderGone from None
+            raise ReaderLoss from None
         self._pending = self._pending[sent:]
         self._waited_for_since = None
 
     def say_goodbye(self) -> None:
-        """Tell it that there is no more. Raises ReaderGone if it is not there any more."""
+        """Tell it that there is no more. Raises ReaderLoss if it is not there any more."""
         self.leaving = True
         self._waited_for_since = None
         try:
             self.connection.shutdown(socket.SHUT_WR)
         except OSError:
-            raise ReaderGone from None
+            raise ReaderLoss from None
 
     def has_hung_up(self) -> bool:
         """Whether it has hung up too. What it has sent is dropped: closing over it could cost it the last lines. Raises
-        ReaderGone if it closed its connection without reading everything."""
+        ReaderLoss if it closed its connection without reading everything."""
         self.rests_until = time.monotonic() + DROP_S
         try:
             ended = not self.connection.recv(DROP_BYTES)
             if ended and self.connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                raise ReaderGone
+                raise ReaderLoss
         except BlockingIOError:
             return False
         except OSError:
-            raise ReaderGone from None
+            raise ReaderLoss from None
         return ended
 
     def close(self) -> None:
@@ -147,7 +147,7 @@ RECEIVE_BYTES = 4096  # what the system takes in of what a reader sends: then th
 Tell = Callable[[str], None]
 
 
-class NobodyReads(Exception):
+class NoReader(Exception):
     """There is no reader, and none has come back in time."""
 
 
@@ -220,22 +220,22 @@ class LineServer:
 
     def send(self, lines: bytes) -> None:
         """Give lines to all readers; waits while the backlog is full of lines that one of them has yet to take. Raises
-        NobodyReads if the backlog is full, and there has been no reader for `wait_s`."""
+        NoReader if the backlog is full, and there has been no reader for `wait_s`."""
         with self._changed:
             if not self._wait_until(lambda: self._fits(lines)):
-                raise NobodyReads
+                raise NoReader
             self._backlog.append(lines)
         self._wake()
 
     def finish(self, *, come_back: bool = True) -> None:
         """Send the rest, and wait until the readers have hung up. If no reader has everything and `come_back` is set,
-        wait `wait_s` for one to come back. Raises NobodyReads if no reader has taken everything."""
+        wait `wait_s` for one to come back. Raises NoReader if no reader has taken everything."""
         with self._changed:
             self._ended = True
             self._wake()
             self._wait_until(lambda: not self._readers and (self._served > 0 or not come_back))
             if not self._served:
-                raise NobodyReads
+                raise NoReader
 
     def _wait_until(self, holds: Callable[[], bool]) -> bool:
         """Wait until something holds; False if there has been no reader for too long."""
@@ -312,7 +312,7 @@ class LineServer:
     def _attempt(self, reader: Reader, action: Callable[[], bool | None]) -> bool:
         try:
             return bool(action())
-        except ReaderGone:
+        except ReaderLoss:
             self._remove(reader, "has gone")
             return False
 

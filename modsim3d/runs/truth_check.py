@@ -16,7 +16,7 @@ from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.scene.parts import NO_FILE
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import visible_areas
-from modsim3d.truth.crosscheck.comparison import CheckCounts, Difference, SaidOfFrame, check_frame
+from modsim3d.truth.crosscheck.comparison import CheckCounts, Difference, FrameValues, check_frame
 from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _check_frames(
     checked, seen = CheckCounts(), truth.of_camera(camera)
     for frame, step in enumerate(steps.tolist()):
         rows = np.flatnonzero((outlines.frame == frame) & outlines.boxed & ~np.isnan(areas))
-        said = SaidOfFrame(
+        said = FrameValues(
             seen.take(slice(*np.searchsorted(seen.step, (step, step + 1)).tolist())),
             spans_of_frame(spans[0], outlines, frame),
             spans_of_frame(spans[1], outlines, frame),

@@ -20,7 +20,7 @@ from modsim3d.io.validation import (
     MOST,
     Limits,
     Metres,
-    Needed,
+    NeedText,
     NotNegative,
     Number,
     Probability,
@@ -95,7 +95,7 @@ ImageSide = Annotated[int, Limits(gt=0, le=MAX_IMAGE_SIDE_PX)]
 FocalPixels = Annotated[float, Limits(allow_inf_nan=False, ge=MIN_FOCAL_PX, le=MAX_PX)]
 FieldOfView = Annotated[float, Limits(allow_inf_nan=False, ge=0.01, le=179)]
 ROWS = "the rows are [fx, s, cx], [0, fy, cy] and [0, 0, 1]"
-Matrix = Annotated[MatrixRows, Needed(f"3 × 3 numbers are needed: {ROWS}"), AfterValidator(upper_triangular)]
+Matrix = Annotated[MatrixRows, NeedText(f"3 × 3 numbers are needed: {ROWS}"), AfterValidator(upper_triangular)]
 ANGLES = ("roll", "pitch", "yaw")
 
 

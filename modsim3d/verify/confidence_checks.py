@@ -15,7 +15,7 @@ from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileSc
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.verify.class_checks import correlation_note, lag_pairs, sum_over_pairs, turn_pairs
-from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
+from modsim3d.verify.evidence import Evidence, FalsePositiveRows, TrueDetections, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.parameters import Law, Parameter
 
@@ -255,7 +255,7 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDete
     true, false, instances = evidence.true_detections, evidence.false_detections, evidence.instances
     seen = np.append(instances.visible_fraction, np.nan)  # the last for instance −1: no vessel
 
-    def of_rows(found: TrueDetections | FalseDetections, ours: Mask) -> ScoredDetections:
+    def of_rows(found: TrueDetections | FalsePositiveRows, ours: Mask) -> ScoredDetections:
         visible = seen[found.instance[ours]]
         width, height = sizes(found.boxes_px[ours]).T
         smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)

@@ -65,7 +65,7 @@ class TrueDetections:
 
 
 @dataclass(frozen=True, eq=False)
-class FalseDetections:
+class FalsePositiveRows:
     """False positives, second boxes of vessels among them; shapes (m,) unless given."""
 
     frame_row: Indices  # row of `FrameTable`
@@ -97,7 +97,7 @@ class Evidence:
     frames: FrameTable
     instances: Instances
     true_detections: TrueDetections
-    false_detections: FalseDetections
+    false_detections: FalsePositiveRows
 
     @classmethod
     def of(cls, cameras: Sequence[CameraEvidence]) -> Evidence:
@@ -111,7 +111,7 @@ class Evidence:
             FrameTable(**_joined([_frames(index, seen) for index, seen in enumerate(cameras)])),
             Instances(**_joined([_instances(index, seen) for index, seen in enumerate(cameras)], before=first_row)),
             TrueDetections(**_joined(true, instance=first_row)),
-            FalseDetections(**_joined(false, frame_row=first_frame, instance=first_row)),
+            FalsePositiveRows(**_joined(false, frame_row=first_frame, instance=first_row)),
         )
 
     @property
@@ -182,7 +182,7 @@ def _true(found: Detections) -> Columns:
 
 
 def _false(found: Detections) -> Columns:
-    """Columns of `FalseDetections` of a camera."""
+    """Columns of `FalsePositiveRows` of a camera."""
     false = found.false()
     frame = found.frame[false]
     columns = {name: getattr(found, name)[false] for name in ("label", "confidence", "kind", "boxes_px")}

@@ -13,7 +13,7 @@ from modsim3d.detector import records
 from modsim3d.detector.chain import DetectorPart, false_positive_rates, false_positive_source
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS
-from modsim3d.detector.false_positives import FrameCounts, OnVessels, persistent_false_positives
+from modsim3d.detector.false_positives import FrameCounts, VesselFalseBoxes, persistent_false_positives
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX, MergesAndSplits
 from modsim3d.detector.model import DetectorModel
 from modsim3d.verify.class_checks import expected_outcomes, lag_pairs, turn_before
@@ -408,7 +408,7 @@ def _place_on(vessels_px: Array, boxes_px: Array) -> Array:
     return np.round(np.hstack([shift, np.log(sizes(boxes_px) / sides)]), _PLACE_DIGITS)
 
 
-def _drawn_on(law: OnVessels, instances: Instances, rows: Indices, rng: np.random.Generator) -> Array:
+def _drawn_on(law: VesselFalseBoxes, instances: Instances, rows: Indices, rng: np.random.Generator) -> Array:
     """Places of false detections that are drawn on vessels, as the image shows them, shape (at most m, 4)."""
     uniforms = rng.random((len(rows), 5))
     uniforms[:, 0] = 0.0  # on each of them

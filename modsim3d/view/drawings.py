@@ -9,7 +9,7 @@ from typing import Any
 from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path, out_file
 from modsim3d.core.text import counted
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.overwrite import read_of_run
@@ -57,7 +57,7 @@ def view_film(
     workers: WorkerCount = 1,
     overwrite: bool = False,
     bar: Bar = lambda name, frames, pace: nullcontext(lambda frames: None),
-) -> Written:
+) -> OutputFiles:
     """Draw a film of a run.
 
         modsim3d.view_film("runs/first", "film.gif", kind="all", speed=4)
@@ -94,7 +94,7 @@ def view_film(
     claim, showing = _claimed(path, selection.run, overwrite, pictures), ShownSteps.of(selection, file_format, speed)
     with claim, bar(path.name, len(showing.steps), showing.pace) as advance:
         size = draw_film(selection, plan, file_format, path, speed=speed, workers=workers, progress=advance)
-    return Written((path,), ("{} × {} px, ".format(*size) + showing.pace, *notes))
+    return OutputFiles((path,), ("{} × {} px, ".format(*size) + showing.pace, *notes))
 
 
 def view_frame(
@@ -112,7 +112,7 @@ def view_frame(
     crop: str | Sequence[float] | None = None,
     width: int | None = None,
     overwrite: bool = False,
-) -> Written:
+) -> OutputFiles:
     """Draw one time step of a run as a PNG.
 
         modsim3d.view_frame("runs/first", 51.0, "moment.png")
@@ -140,7 +140,7 @@ def view_frame(
     if path.suffix.lower() != ".png":
         raise ModsimError(f"{path}: the name of a picture must end in .png")
     with _claimed(path, run, overwrite):
-        return Written((draw_picture(selection, plan, path),), notes)
+        return OutputFiles((draw_picture(selection, plan, path),), notes)
 
 
 def view_map(
@@ -155,7 +155,7 @@ def view_map(
     layers: Names | None = None,
     width: int | None = None,
     overwrite: bool = False,
-) -> Written:
+) -> OutputFiles:
     """Draw the scene of a run from above, as PNG, SVG or PDF.
 
         modsim3d.view_map("runs/first", 51.0, "map.svg", layers=["vectors", "cpa", "nm"])
@@ -183,10 +183,10 @@ def view_map(
         birds_eye = BirdsEye(run.scene, run.steps, chosen, request.map_layers, in_world)
         bearings = bearings_of(run.scene, seen, followed)
         save_map(birds_eye, shown, path, width or WIDTH_PX, bearings)
-    return Written((path,), notes)
+    return OutputFiles((path,), notes)
 
 
-def view_sheet(run: StoredRun | StrPath, *, overwrite: bool = False) -> Written:
+def view_sheet(run: StoredRun | StrPath, *, overwrite: bool = False) -> OutputFiles:
     """Draw `contact_sheet.png` of a finished run again.
 
         modsim3d.view_sheet("runs/first", overwrite=True)
@@ -202,7 +202,7 @@ def view_sheet(run: StoredRun | StrPath, *, overwrite: bool = False) -> Written:
             f"run --resume); modsim3d view film and view frame draw the {run.steps} steps that are there"
         )
     with _claimed(run.folder / SHEET_FILE, run, overwrite):
-        return Written((draw_contact_sheet(run),))
+        return OutputFiles((draw_contact_sheet(run),))
 
 
 # ---- What they share ----
@@ -277,7 +277,9 @@ def _film_format(asked: str | None, out: Path | None) -> str:
     return asked
 
 
-def _id_buffer(run: StoredRun, cameras: tuple[int, ...], step: int, out: StrPath | None, overwrite: bool) -> Written:
+def _id_buffer(
+    run: StoredRun, cameras: tuple[int, ...], step: int, out: StrPath | None, overwrite: bool
+) -> OutputFiles:
     names = [run.scene.cameras[index].name for index in cameras]
     if len(names) > 1:
         raise ModsimError(f"--kind id_buffer needs one camera: give --camera {' or --camera '.join(names)}")
@@ -289,7 +291,7 @@ def _id_buffer(run: StoredRun, cameras: tuple[int, ...], step: int, out: StrPath
         write_id_buffer(image, path)
     height, width = image.ids.shape
     counts = [f"{number:>9}  {image.names[number]}: {pixels} px" for number, pixels in image.counts()]
-    return Written((path,), (f"{width} × {height} px, 0 where nothing is", *counts))
+    return OutputFiles((path,), (f"{width} × {height} px, 0 where nothing is", *counts))
 
 
 def _claimed(path: Path, run: StoredRun, overwrite: bool, folder: bool = False) -> AbstractContextManager[None]:

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.atomic_write import put_in_place
 from modsim3d.io.overwrite_guard import claimed
@@ -287,7 +287,7 @@ def export_rerun(
     threshold: float | None = None,
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
-) -> Written:
+) -> OutputFiles:
     """Write a run as `run.rrd`, a recording for the Rerun viewer.
 
         modsim3d.export_rerun("runs/first", "recordings", tracks="tracks/reference")
@@ -331,4 +331,4 @@ def export_rerun(
             progress(len(some))
         stream.flush()
         stream.disconnect()
-    return Written((path,), () if followed is None else (followed.sentence(),))
+    return OutputFiles((path,), () if followed is None else (followed.sentence(),))

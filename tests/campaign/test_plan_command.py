@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from modsim3d.campaign.done_rows import Expected, needed_seeds, parsed_expectation
+from modsim3d.campaign.done_rows import Expectation, needed_seeds, parsed_expectation
 from modsim3d.campaign.folder import CampaignFolder, planned
 from modsim3d.campaign.verdicts.bounds import skewed_bounds
 from modsim3d.core.errors import ModsimError
@@ -26,7 +26,7 @@ def one(requirement, expected=None, **keys):
     ({"score": "hota", "at_least": 0.63}, 1), ({"score": "hota", "at_most": 0.77}, -1),
 ])  # fmt: skip
 def test_a_mean_needs_the_least_seeds_with_which_its_bound_is_beyond_the_threshold_in_four_of_five(requirement, sign):
-    seeds = one(requirement, {"hota": Expected(0.7, 0.1)}).seeds
+    seeds = one(requirement, {"hota": Expectation(0.7, 0.1)}).seeds
     rng, limits = np.random.default_rng(5), {1: 1.0, -1: 0.0}
 
     def met(count):
@@ -41,12 +41,12 @@ def test_a_mean_needs_the_least_seeds_with_which_its_bound_is_beyond_the_thresho
 def test_a_share_needs_its_clean_seeds_and_a_mean_its_spread_or_is_never_met_on_the_wrong_side(monkeypatch):
     once, sequential = one(CLEAN), one(CLEAN, stop="sequential")
     assert (once.seeds, sequential.seeds) == (299, 680) and "473 if one is not" in once.why
-    never, unknown = one(HOTA, {"hota": Expected(0.6, 0.1)}), one(HOTA)
+    never, unknown = one(HOTA, {"hota": Expectation(0.6, 0.1)}), one(HOTA)
     assert never.seeds is None and never.why.startswith("never: the expected mean, 0.6, is not above")
     assert unknown.seeds is None and "--expect 'hota=MEAN:SPREAD'" in unknown.why and "--like DIR" in unknown.why
-    assert 20 <= one(HOTA, {"hota": Expected(0.7, 0.1)}, stop="sequential").seeds <= 50  # with a bound of its own
+    assert 20 <= one(HOTA, {"hota": Expectation(0.7, 0.1)}, stop="sequential").seeds <= 50  # with a bound of its own
     monkeypatch.setattr("modsim3d.campaign.verdicts.wording.offered_from", lambda *_: 30)
-    assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30  # the least seeds of offers count
+    assert one(HOTA, {"hota": Expectation(0.9, 0.01)}).seeds == 30  # the least seeds of offers count
 
 
 @pytest.mark.parametrize("requirement", [
@@ -54,7 +54,7 @@ def test_a_share_needs_its_clean_seeds_and_a_mean_its_spread_or_is_never_met_on_
     {"score": "hota", "of": "sort", "minus": "bytetrack", "at_least": 0},
 ])  # fmt: skip
 def test_what_no_number_of_seeds_can_meet_is_never_whatever_is_expected(requirement):
-    found = one(requirement, {"rmse_px": Expected(1.0, 0.1), "hota": Expected(0.9, 0.1)}, trackers=TRACKERS)
+    found = one(requirement, {"rmse_px": Expectation(1.0, 0.1), "hota": Expectation(0.9, 0.1)}, trackers=TRACKERS)
     assert found.seeds is None and found.why.startswith("never: ")
 
 
@@ -68,7 +68,7 @@ def test_a_wrong_expectation_is_refused(text, said):
     with pytest.raises(ModsimError, match=r"^expect") as refused:
         parsed_expectation(text, plan_of(5, [HOTA, CLEAN]))
     assert said in str(refused.value)
-    assert parsed_expectation("hota=0.7:0.05", plan_of(5, [HOTA])) == ("hota", Expected(0.7, 0.05))
+    assert parsed_expectation("hota=0.7:0.05", plan_of(5, [HOTA])) == ("hota", Expectation(0.7, 0.05))
 
 
 def test_what_an_earlier_campaign_lost_is_left_out_of_its_spread_and_said(tmp_path, monkeypatch):

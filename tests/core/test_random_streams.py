@@ -213,7 +213,7 @@ DOCUMENT = Document(
         Text(""),
         Heading("Cells"),
         blocks_of.Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=Where.PAGE)]),
-        blocks_of.Beside([blocks_of.Items(["only printed"], Where.TERMINAL)]),
+        blocks_of.BlockRow([blocks_of.Items(["only printed"], Where.TERMINAL)]),
     ],
 )
 

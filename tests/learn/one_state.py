@@ -13,8 +13,8 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned_detector import Learned, LearnSettings, learn, uncertainty_text
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.learned_detector import Estimates, LearnSettings, learn, uncertainty_text
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.self_check import simulated
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.scene.settings import choose_detector
@@ -43,28 +43,28 @@ def detected(labelled: LabelledSet, content: dict[str, Any], seed: int) -> Label
     return simulated(labelled, np.zeros(len(labelled.images), dtype=np.int64), parse_detector(content), seed)
 
 
-def observed_as(labelled: LabelledSet, states, state: Indices, rule: Rule = IOU, without=()) -> Observed:
-    return Observed(labelled, match(labelled, rule, 0.2), states, state, 0.2, frozenset(without))
+def observed_as(labelled: LabelledSet, states, state: Indices, rule: Rule = IOU, without=()) -> Outcomes:
+    return Outcomes(labelled, match(labelled, rule, 0.2), states, state, 0.2, frozenset(without))
 
 
-def observed_in(labelled: LabelledSet, rule: Rule = IOU, without: Collection[str] = (), name="usual") -> Observed:
+def observed_in(labelled: LabelledSet, rule: Rule = IOU, without: Collection[str] = (), name="usual") -> Outcomes:
     return observed_as(labelled, (name,), np.zeros(len(labelled.images), dtype=np.int64), rule, without)
 
 
-def observed_by_condition(labelled: LabelledSet, rule: Rule = IOU, without: Collection[str] = ()) -> Observed:
+def observed_by_condition(labelled: LabelledSet, rule: Rule = IOU, without: Collection[str] = ()) -> Outcomes:
     """With a state for each of the conditions `clear` and `haze`."""
     states = each_its_own(("clear", "haze"))
     return observed_as(labelled, states.names, states.of_images(labelled.images, labelled.conditions), rule, without)
 
 
-def learned_in(observed: Observed, rule: Rule = IOU, chain: Transitions | None = None, **settings: Any) -> Learned:
+def learned_in(observed: Outcomes, rule: Rule = IOU, chain: Transitions | None = None, **settings: Any) -> Estimates:
     """What is learned, with few replicates unless others are asked for."""
     settings = {"replicates": 20, "without": observed.without, **settings}
     nothing = Transitions(np.zeros((len(observed.states), len(observed.states))))
     return learn(observed, chain or nothing, LearnSettings(rule, **settings))
 
 
-def learned_by_condition(labelled: LabelledSet, rule: Rule = IOU, **settings: Any) -> Learned:
+def learned_by_condition(labelled: LabelledSet, rule: Rule = IOU, **settings: Any) -> Estimates:
     observed = observed_by_condition(labelled, rule, settings.get("without", ()))
     return learned_in(observed, rule, transitions_of(labelled.images, observed.image_state, 2, 1.0), **settings)
 
@@ -98,10 +98,10 @@ def detector(confidence: dict[str, Any], **sections: Any) -> dict[str, Any]:
     return {**detector_file(confidence=confidence), "false_positives": clutter, **sections}
 
 
-def learned_from(labelled: LabelledSet, rule: Rule = PROVENANCE, without: Collection[str] = (), **settings) -> Learned:
+def learned_from(labelled: LabelledSet, rule: Rule = PROVENANCE, without: Collection[str] = (), **others) -> Estimates:
     """What is learned from a set of one condition, with sixty replicates unless others are asked for."""
     observed = observed_in(labelled, rule, without, labelled.conditions[0])
-    return learned_in(observed, rule, **{"replicates": 60, **settings})
+    return learned_in(observed, rule, **{"replicates": 60, **others})
 
 
 def normal_chain(kept: float, rng: np.random.Generator, *shape: int) -> Array:
@@ -112,7 +112,7 @@ def normal_chain(kept: float, rng: np.random.Generator, *shape: int) -> Array:
     return value
 
 
-def drawn_models(learned: Learned, folder: Path, count: int) -> list[DetectorModel]:
+def drawn_models(learned: Estimates, folder: Path, count: int) -> list[DetectorModel]:
     """Detectors that a campaign draws around one that was learned."""
     path, text = folder / "learned.yaml", yaml.safe_dump(learned.detector())
     path.write_text(text)

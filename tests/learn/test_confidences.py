@@ -18,7 +18,7 @@ from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
 from modsim3d.learn.confidence_laws import Inflation
-from modsim3d.learn.learned_detector import Learned, uncertainty_text
+from modsim3d.learn.learned_detector import Estimates, uncertainty_text
 from modsim3d.learn.self_check import simulated
 from tests.formats.labelled_files import found, images, truth
 from tests.learn import round_trip
@@ -233,7 +233,7 @@ CLIPPED = {"true": {"mean": 1.0, "std": 0.15}, "false": {"mean": 0.45, "std": 0.
 SKEW = {"true": {"quantiles": [0.3, 0.5, 0.8, 0.95, 0.97, 0.98]}, "false": {"mean": 0.45, "std": 0.12}}
 
 
-def outside(learned: Learned, asked: dict[str, Any]) -> dict[str, int]:
+def outside(learned: Estimates, asked: dict[str, Any]) -> dict[str, int]:
     """Asked numbers of confidence outside their intervals of 99.9 %, or without one; ends of quantiles do not count."""
     flat = {key: value for key, value in asked.items() if not isinstance(value, dict)}
     flat |= {f"{kind}.{key}": asked[kind][key] for kind in ("true", "false") for key in asked[kind]}
@@ -256,7 +256,7 @@ def sloped(boats: LabelledSet) -> LabelledSet:
 
 
 @pytest.fixture(scope="module")
-def learned_lasting(boats: LabelledSet) -> Learned:
+def learned_lasting(boats: LabelledSet) -> Estimates:
     """What is learned from confidences with slopes that persist for a second."""
     return learned_from(detected(boats, detector(NORMAL | SLOPES, persistence={"confidence_s": 1.0}), 4))
 
@@ -310,7 +310,7 @@ def test_models_that_are_to_be_left_out_are(sloped: LabelledSet) -> None:
 
 
 @pytest.mark.parametrize("scores", [NORMAL | SLOPES, CLIPPED, SKEW], ids=["normal", "many are 1", "quantiles"])
-def test_how_long_confidence_persists_comes_back(boats: LabelledSet, learned_lasting: Learned, scores) -> None:
+def test_how_long_confidence_persists_comes_back(boats: LabelledSet, learned_lasting: Estimates, scores) -> None:
     learned = learned_lasting
     if scores in (CLIPPED, SKEW):
         learned = learned_from(detected(boats, detector(scores, persistence={"confidence_s": 1.0}), 4))
@@ -320,7 +320,7 @@ def test_how_long_confidence_persists_comes_back(boats: LabelledSet, learned_las
     assert outside(learned, scores) == {}
 
 
-def test_a_campaign_draws_slopes_and_their_reference(learned_lasting: Learned) -> None:
+def test_a_campaign_draws_slopes_and_their_reference(learned_lasting: Estimates) -> None:
     known = LearnedUncertainty.model_validate_json(uncertainty_text(learned_lasting, ""))
     drawn = [drawn_detector(known, seed) for seed in range(3)]
     for key in ("states.usual.confidence.visibility_slope", "states.usual.confidence.size_reference_px",

@@ -21,7 +21,7 @@ from modsim3d.learn.confidence_laws import LearnedNormal
 from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.figures import ErrorKind, Matches, error_shares
 from modsim3d.learn.lags import LagTable
-from modsim3d.learn.learned_detector import Learned
+from modsim3d.learn.learned_detector import Estimates
 from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation
@@ -305,11 +305,11 @@ def with_found(labelled: LabelledSet, errors_px: np.ndarray, seen: np.ndarray | 
     return replace(labelled, results=found(image, 0 * image, boxes_px[rows], np.full(len(rows), 0.9)))
 
 
-def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset(), replicates: int = 20) -> Learned:
+def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset(), replicates: int = 20) -> Estimates:
     return learned_in(observed_in(labelled, without=without), replicates=replicates)
 
 
-def notes_on(key: str, learned: Learned) -> list[str]:
+def notes_on(key: str, learned: Estimates) -> list[str]:
     return [note for note in learned.notes if note.startswith(f"{key}: ")]
 
 

@@ -13,9 +13,9 @@ from modsim3d.detector.persistence import BoxMemory, LatentScore
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
-from modsim3d.learn.learned_detector import Learned
+from modsim3d.learn.learned_detector import Estimates
 from modsim3d.learn.match_types import NAMES
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.misses import own_effects
 from modsim3d.learn.self_check import simulated
 from tests.detector.detector_builders import make_targets
@@ -35,7 +35,7 @@ def content(slopes: dict[str, float], anchor: str = "state_rate"):
     return data | chain | {"dropout": {"model": "logistic", "anchor": anchor}, "states": states}
 
 
-def observed_boats(slopes: dict[str, float], seed, without=frozenset(), far_m=400, anchor="state_rate") -> Observed:
+def observed_boats(slopes: dict[str, float], seed, without=frozenset(), far_m=400, anchor="state_rate") -> Outcomes:
     """A simulated run of 900 images, two thirds of them in clear air, of boats up to a distance."""
     rng = np.random.default_rng(seed)
     labelled = moored(FRAMES, BOATS, columns=BOATS, size_px=(1000.0, 800.0), top_px=300.0)
@@ -46,7 +46,7 @@ def observed_boats(slopes: dict[str, float], seed, without=frozenset(), far_m=40
     return observed_as(labelled, STATES, state, without=without)
 
 
-def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Learned:
+def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Estimates:
     return learned_in(observed_boats(slopes, seed, without), replicates=60)
 
 
@@ -109,7 +109,7 @@ PLAIN = frozenset({"relative", "mixed", "student_t", *NAMES})
 
 
 def scored_again(persistence: dict[str, Any], seed: int, without: frozenset[str] = frozenset(),
-                  confusion: tuple[tuple[float, ...], ...] = ((1 - MISS_RATE,), (MISS_RATE,))) -> Learned:  # fmt: skip
+                 confusion: tuple[tuple[float, ...], ...] = ((1 - MISS_RATE,), (MISS_RATE,))) -> Estimates:  # fmt: skip
     names = ("boat", "ship")[: len(confusion[0])]
     labelled = moored(500, 40, columns=8, size_px=(2200.0, 1600.0))
     label = labelled.annotations.identity % len(names)
@@ -159,7 +159,7 @@ SHARES = [[0.5, 0.05, 0.4, 0.3, 0.2], [0.1, 0.4, 0.1, 0.4, 0.4]]
 MEMORY = {"vessel_share": [0.05, 0.45, 0.1, 0.2, 0.2], "shares": SHARES, "times_s": [0.6, 5.0]}
 
 
-def errors_learned_again(persistence: dict[str, Any], seed: int, boats: int = 60) -> Learned:
+def errors_learned_again(persistence: dict[str, Any], seed: int, boats: int = 60) -> Estimates:
     data = detector({"mean": 0.6, "std": 0.15}, persistence=persistence)
     data["states"]["usual"] |= {"false_discovery_rate": 0.02, "box_error": ERRORS}
     labelled = moored(400, boats, columns=10, size_px=(2700.0, 1800.0), side_px=80.0)

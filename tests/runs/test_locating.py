@@ -17,7 +17,7 @@ from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.geometry.camera_poses import heading_of, poses_on_board
 from modsim3d.runs import locating
-from modsim3d.runs.locating import MAX_RANGE_ERROR, Located, locate, state_shares
+from modsim3d.runs.locating import MAX_RANGE_ERROR, Locations, locate, state_shares
 from modsim3d.scene.cameras import own_ships_at
 from tests.scenes import camera_keys
 
@@ -286,7 +286,7 @@ def test_first_order_ellipses_hold_where_they_are_given_and_rows_do_not_depend_o
     whole = locate(scene, "bow", steps, BOXES)
     for row, step in enumerate(steps.tolist()):
         alone = locate(scene, "bow", step, BOXES[row : row + 1])
-        for each in fields(Located):
+        for each in fields(Locations):
             together, one = getattr(whole, each.name)[row], getattr(alone, each.name)[0]
             np.testing.assert_allclose(together, one, rtol=1e-9, atol=1e-15, err_msg=each.name)
     assert len(whole) == 4 and len(locate(scene, "bow", 0, np.empty((0, 4)))) == 0

@@ -13,7 +13,7 @@ import pytest
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs import stream_server as server_module
 from modsim3d.runs.stream_lines import Address
-from modsim3d.runs.stream_server import LineServer, NobodyReads, Reader, ReaderGone
+from modsim3d.runs.stream_server import LineServer, NoReader, Reader, ReaderLoss
 
 LONG_S = 120.0  # what no test waits for unless something is wrong
 HEADER = b"header\n"
@@ -116,7 +116,7 @@ def test_a_reader_that_takes_nothing_is_disconnected_and_one_that_crashed_gets_a
     said: list[str] = []
     with serve(warn=said.append, backlog_bytes=10_000) as server, closing(connect(server, small=True)):
         server.wait_s = 0.03
-        with pytest.raises(NobodyReads):
+        with pytest.raises(NoReader):
             send_all(server)
             server.finish()
     assert len(said) == 1 and "has taken nothing for 0.3 s, and is disconnected" in said[0]
@@ -135,7 +135,7 @@ def test_a_stream_that_nobody_takes_ends_and_hanging_up_early_ends_it_at_once():
     with serve() as server:
         connect(server).close()
         server.wait_s = 0.05
-        with pytest.raises(NobodyReads):
+        with pytest.raises(NoReader):
             send_all(server)
             server.finish()
     with serve(0.05) as server, pytest.raises(ModsimError, match=r"nobody has connected for 0\.05 s"):
@@ -170,7 +170,7 @@ def test_what_a_reader_sends_is_never_taken_in_and_an_end_with_lines_on_the_way_
 
     with socket.create_server(("127.0.0.1", 0)) as listener, closing(Ended()) as connection:
         connection.connect(listener.getsockname())
-        with pytest.raises(ReaderGone):
+        with pytest.raises(ReaderLoss):
             Reader(connection, "it", HEADER, 0).has_hung_up()
 
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ import pytest
 from modsim3d.tracking.score_page import _cells
 from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity, false_track_lengths_s
-from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival, within
+from modsim3d.tracking.scores.occlusions import OcclusionEpisode, Survival, hidden, occlusions, survival, within
 from modsim3d.tracking.scores.scored_run import ScoredRun, frame_lengths_s
 from modsim3d.view.pages.tables import table
 from tests.tracking.hand_made import LABELS, Seen, box, hand_made, placed
@@ -29,14 +29,14 @@ def seen(tracks: Sequence[tuple[int, int]], visible: Sequence[float | None] = VI
 def test_a_hidden_vessel_is_followed_by_the_track_from_before_or_by_another_or_by_none() -> None:
     truth = [Seen(k, 0, A, float(k not in (2, 3, 4, 5))) for k in range(7)]
     tracks = [(0, 9, A), (1, 1, A), (2, 1, A), (3, 2, A), (4, 2, A)]  # 9, 1 before; while hidden 1, 2, 2, none
-    assert hidden(hand_made(truth, tracks, 7)) == Hidden(4, 3 / 4, 1 / 4)
-    assert hidden(hand_made(truth, tracks[2:], 7)) == Hidden(4, 3 / 4, 0)  # nothing followed it before
-    assert hidden(replace(hand_made(truth, tracks, 7), frames=np.array([2, 6]))) == Hidden(1, 1, 1)
-    assert hidden(hand_made(truth[:2], tracks, 7)) == Hidden(0, None, None)
+    assert astuple(hidden(hand_made(truth, tracks, 7))) == (4, 3 / 4, 1 / 4)
+    assert astuple(hidden(hand_made(truth, tracks[2:], 7))) == (4, 3 / 4, 0)  # nothing followed it before
+    assert astuple(hidden(replace(hand_made(truth, tracks, 7), frames=np.array([2, 6])))) == (1, 1, 1)
+    assert astuple(hidden(hand_made(truth[:2], tracks, 7))) == (0, None, None)
     back = [Seen(0, 0, A), Seen(5, 0, A, 0)]  # it comes back hidden, as a new identity
-    assert hidden(hand_made(back, [(0, 1, A), (5, 1, A)], 6)) == Hidden(1, 1, 0)
+    assert astuple(hidden(hand_made(back, [(0, 1, A), (5, 1, A)], 6))) == (1, 1, 0)
     beside = [Seen(0, 0, A), Seen(1, 1, A, 0)]  # the track is that of another vessel
-    assert hidden(hand_made(beside, [(0, 1, A), (1, 1, A)], 2)) == Hidden(1, 1, 0)
+    assert astuple(hidden(hand_made(beside, [(0, 1, A), (1, 1, A)], 2))) == (1, 1, 0)
 
 
 def test_the_track_after_an_occlusion_is_the_one_before_or_not_and_none_is_judged_if_the_vessel_is_gone():

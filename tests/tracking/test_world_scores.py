@@ -14,7 +14,7 @@ from modsim3d.tracking.score_page import score_page
 from modsim3d.tracking.scores.errors import nees
 from modsim3d.tracking.scores.scored_run import SetDistance
 from modsim3d.tracking.world.following import WorldTruth
-from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
+from modsim3d.tracking.world.scoring import Quartiles, VesselMean, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import TrackEstimates, WorldTracks
 from tests.scenes import camera_keys
 from tests.tracks import track_files
@@ -107,8 +107,8 @@ def test_each_vessel_counts_once_and_a_miss_and_a_false_track_cost_half_the_cuto
     # The t-quantile of 0.975 with one degree of freedom is 12.706, and the standard error of 10 and 0 is 5.
     assert values(scores, "rmse_m", "rmse_m_low", "rmse_m_high") == pytest.approx([5, 5 - 63.531, 5 + 63.531], abs=1e-3)
     assert values(scores, "followed_share") == pytest.approx([(3 / scored[:, CROSSER].sum() + 1) / 2])
-    assert OverVessels.of(np.array([np.nan])) == OverVessels(None, None, None, 0)
-    assert OverVessels.of(np.array([3.0, np.nan])) == OverVessels(3.0, None, None, 1)
+    assert VesselMean.of(np.array([np.nan])) == VesselMean(None, None, None, 0)
+    assert VesselMean.of(np.array([3.0, np.nan])) == VesselMean(3.0, None, None, 1)
     assert quartiles([40.0, None, 10.0, 30.0]) == Quartiles(None, 10.0, 30.0)
     assert quartiles([]) == Quartiles(None, None, None)
     lost = score_world(rows, tracks_of([(CROSSER, TIMES_S[scored[:, CROSSER]])]))

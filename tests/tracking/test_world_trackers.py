@@ -14,7 +14,7 @@ from stonesoup.updater.kalman import ExtendedKalmanUpdater
 from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
-from modsim3d.runs.locating import Located
+from modsim3d.runs.locating import Locations
 from modsim3d.tracking.trackers.interface import SensedFrame
 from modsim3d.tracking.trackers.stone_soup import StoneSoupWorld, WorldGnn, WorldJpda
 from modsim3d.tracking.trackers.world_interface import AisReport, WorldFacts, WorldFrame, WorldStep, WorldTrackedStep
@@ -42,7 +42,7 @@ def frame(time_s: float, vessels_m: Any, camera_m: Any, generator: Any, behind_m
     if generator is not None:
         bearing = bearing + generator.normal(0, BEARING_STD, count)
         inverse = inverse + generator.normal(0, INVERSE_STD, count)
-    located = Located(
+    located = Locations(
         bearing,
         np.full(count, BEARING_STD),
         inverse,

@@ -31,7 +31,7 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import levels_of, score_name
 from modsim3d.campaign.work.row import DONE, SAID, error_text, rules_of
 from modsim3d.core.arrays import NOBODY
-from modsim3d.core.document import Beside, Block, Cell, Document, Figure, Heading, Row, Table, Text
+from modsim3d.core.document import Block, BlockRow, Cell, Document, Figure, Heading, Row, Table, Text
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, listed, three_digits, three_digits_with_interval
 from modsim3d.tracking.scores.scored_run import ScoredRun
@@ -75,7 +75,7 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
         "soft",
     )
     yield Table("", ("length", "tracker", *key_columns(keys), *(f"{each:,g} m" for each in distances)), cells)
-    yield Beside(drawn)
+    yield BlockRow(drawn)
 
 
 def _chart(size: str, curves: Mapping[str, Mapping[float, ApproachCounts]]) -> str:

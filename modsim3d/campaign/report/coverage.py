@@ -20,7 +20,7 @@ from modsim3d.campaign.work.coverage import COVERED, KINDS, MET, OCCLUSIONS, RAN
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.core.document import Beside, Block, Heading, Items, Table, Text
+from modsim3d.core.document import Block, BlockRow, Heading, Items, Table, Text
 from modsim3d.core.text import UNKNOWN, counted, listed
 from modsim3d.view.pages.provenance import shown_path
 
@@ -45,7 +45,7 @@ class CountedBin:
 
 
 @dataclass(frozen=True, eq=False)
-class Covered:
+class RunGroups:
     """Rows that each stand for several runs: n of them."""
 
     rows: pa.Table  # columns of the first run of each
@@ -76,7 +76,7 @@ class Covered:
         return CountedBin(label, count, int(self.runs[chosen].sum()), len(np.unique(seeds)))
 
 
-class Truths(Covered):
+class Truths(RunGroups):
     """The truths of a campaign: what all runs over one truth have in common is counted once."""
 
     @classmethod
@@ -132,7 +132,7 @@ def _short(value: float) -> str:
 
 def counted_states(folder: CampaignFolder, table: pa.Table) -> tuple[CountedBin, ...]:
     """Frames in each performance state, the frames of a detector over a truth counted once."""
-    looks = Covered.by(table, "detections_key")
+    looks = RunGroups.by(table, "detections_key")
     conditions = folder.facts["conditions"]
     condition = looks.rows["condition"].to_numpy()
     found = []
@@ -335,7 +335,7 @@ def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
         Text(_extent(folder, table, truths)),
         Text(NO_CLAIM),
         *_gaps(folder, table, parts),
-        Beside([part.block for part in parts]),
+        BlockRow([part.block for part in parts]),
         *_trackers(folder),
     ]
 

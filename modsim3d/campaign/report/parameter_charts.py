@@ -18,7 +18,7 @@ from modsim3d.campaign.report.words import Score, axis_of, required_scores
 from modsim3d.campaign.verdicts.seed_values import mean_of
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.core.document import Beside, Block, Cell, Figure, Heading, Row, Table, Text
+from modsim3d.core.document import Block, BlockRow, Cell, Figure, Heading, Row, Table, Text
 from modsim3d.core.statistics import half_widths
 from modsim3d.core.text import three_digits
 from modsim3d.view.pages import charts
@@ -178,7 +178,7 @@ def parameter_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] 
         Heading("Scores against what is varied"),
         Text(caption, "soft"),
         Figure(partial(legend, trackers), ""),
-        *([Beside(charts_of)] if len(scores) == 1 else charts_of),
+        *([BlockRow(charts_of)] if len(scores) == 1 else charts_of),
         Text(f"Not shown: {rest}." if rest else "", "soft"),
         *_heat_maps(parameters, scores[0], cells[scores[0].column], trackers),
     ]
@@ -320,7 +320,7 @@ def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trac
         mean, seeds = found.mean.reshape(shape), found.seeds.reshape(shape)
         yield Heading(f"{first.key} × {second.key}", 3)
         of_trackers = zip(np.moveaxis(mean, 2, 0), np.moveaxis(seeds, 2, 0), trackers, strict=True)
-        yield Beside([_heat_map(first, second, *each, span) for each in of_trackers])
+        yield BlockRow([_heat_map(first, second, *each, span) for each in of_trackers])
 
 
 def _heat_map(

@@ -21,7 +21,7 @@ from modsim3d.campaign.work.row import DONE
 from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
 from modsim3d.core.paths import StrPath, out_file
 from modsim3d.core.text import counted, three_digits, with_minus
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.view.pages import charts
@@ -172,7 +172,7 @@ def report_campaign(
     overwrite: bool = False,
     progress: Callable[..., None] = lambda *_: None,
     call: str | None = None,
-) -> Written:
+) -> OutputFiles:
     """Write a page about a campaign or a search: requirements first, then means, charts and the worst runs.
 
         modsim3d.report_campaign("runs/example", "page.html")
@@ -192,8 +192,8 @@ def report_campaign(
         if opened.keys.search is not None:
             trials = search_table(opened)
             write_files({path: search_page(opened, opened.keys.search, trials, call, progress)})
-            return Written((path,), (lead(opened.keys.search, trials),))
+            return OutputFiles((path,), (lead(opened.keys.search, trials),))
         table = results_table(opened)
         verdicts = judged(opened.plan, table)
         write_files({path: campaign_page(opened, table, verdicts, progress, call)})
-    return Written((path,), (campaign_lead(opened, table, verdicts),))
+    return OutputFiles((path,), (campaign_lead(opened, table, verdicts),))

@@ -103,7 +103,7 @@ def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     why += " on the machines that made them" if worst is not None else f" has {requirement.score}"
     why += f"; {counted(int(runs.crashed.sum()), 'run')} crashed" * bool(runs.crashed.any())
     why += ". Not repeatable: another run takes another time, and no probability goes with it."
-    found = _Found(outcome, worst, UNKNOWN, why)
+    found = _Finding(outcome, worst, UNKNOWN, why)
     return _stated(plan, place, requirement, case, found, rows.seeds, int(runs.crashed.sum()))
 
 
@@ -125,7 +125,7 @@ def _judged(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Finding:
     """Outcome that the rows give, its numbers, and the sentence that states them."""
 
     outcome: Outcome
@@ -135,7 +135,7 @@ class _Found:
 
 
 def _stated(
-    plan: Plan, place: int, requirement: Requirement, case: Case, found: _Found, seeds: int, crashed: int, **more: Any
+    plan: Plan, place: int, requirement: Requirement, case: Case, found: _Finding, seeds: int, crashed: int, **more: Any
 ) -> Verdict:
     """The verdict, with `more` of its fields by name."""
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
@@ -212,7 +212,7 @@ def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case,
     why += _false_tracks(plan, rows, case)
     if rows.seeds < plan.keys.seeds.traffic:
         why += f" It is judged when all {plan.keys.seeds.traffic:,} traffic seeds are done."
-    return _stated(plan, place, requirement, case, _Found(outcome, counts.share, bounds, why), rows.seeds, crashed)
+    return _stated(plan, place, requirement, case, _Finding(outcome, counts.share, bounds, why), rows.seeds, crashed)
 
 
 def _false_tracks(plan: Plan, rows: SeedRows, case: Case) -> str:
@@ -225,14 +225,14 @@ def _false_tracks(plan: Plan, rows: SeedRows, case: Case) -> str:
     return f" {np.nanmean(numbers):,.3g} false tracks a run{warning}."
 
 
-def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Found, list[str]]:
+def _not_yet(found: _Finding, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Finding, list[str]]:
     """Undecided, with the state so far and without bounds, which hold for one look only."""
     done, state = counted(len(runs.values), "traffic seed"), ""
     if found.estimate is not None:
         right = f"{100 * found.estimate:.4g} % right"
         state = f", {f'mean {wording.rounded(found.estimate)}' if requirement.share is None else right} so far"
     why = f"{done} of {planned:,} {'is' if len(runs.values) == 1 else 'are'} done{state}; it is judged when all are."
-    return _Found("undecided", found.estimate, UNKNOWN, why), [why]
+    return _Finding("undecided", found.estimate, UNKNOWN, why), [why]
 
 
 def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> Iterator[str]:
@@ -273,11 +273,11 @@ def _values(plan: Plan, case: Case) -> dict[str, Any]:
     return {**scene, **condition.values, **({} if case.part is None else {case.group: case.part.name})}
 
 
-def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Found:
+def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Finding:
     assert requirement.share is not None
     right = runs.right(requirement)
     if not len(right):
-        return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
+        return _Finding("undecided", None, UNKNOWN, "No traffic seed has a value.")
     bounds = share_bounds(right, requirement.confidence, keys.stop)
     outcome = _outcome(bounds.low >= requirement.share, bounds.high < requirement.share)
     good = int(right.sum())
@@ -291,15 +291,15 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
             "too, and errors add up: plan both beforehand with half the error each "
             f"(`confidence: {(1 + requirement.confidence) / 2:g}`), or use `stop: sequential`."
         )
-    return _Found(outcome, float(right.mean()), bounds, why)
+    return _Finding(outcome, float(right.mean()), bounds, why)
 
 
-def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, group: str) -> _Found:
+def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys, group: str) -> _Finding:
     """Outcome for a mean; `own` are the runs of the tracker itself, if they are not those of a difference."""
     limits = least, greatest = limits_of(requirement, keys.score)
     worst, best, seen = runs.means(least), runs.means(greatest), runs.means(math.nan)
     if not len(worst):
-        return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
+        return _Finding("undecided", None, UNKNOWN, "No traffic seed has a value.")
     every = mean_bounds(worst, best, requirement.confidence, keys.stop, limits)
     bounds = wording.offered(every, requirement, len(worst), group) if keys.stop == "once" else every
     if requirement.at_least is not None:
@@ -327,7 +327,7 @@ def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys
         )
     else:
         why += "."
-    return _Found(outcome, estimate, bounds, why)
+    return _Finding(outcome, estimate, bounds, why)
 
 
 def _outcome(met: bool, failed: bool) -> Outcome:

@@ -336,8 +336,8 @@ def _false_positives(section: FalsePositivesSection) -> FalsePositiveOptions:
     )
 
 
-def _on_vessels(section: schema_models.OnVesselsSection) -> false_positives.OnVessels:
-    return false_positives.OnVessels(section.share, section.lifetime_s, tuple(section.mean), tuple(section.std))
+def _on_vessels(section: schema_models.OnVesselsSection) -> false_positives.VesselFalseBoxes:
+    return false_positives.VesselFalseBoxes(section.share, section.lifetime_s, tuple(section.mean), tuple(section.std))
 
 
 def _sizes(section: schema_models.SizeSection) -> false_positives.Sizes | None:

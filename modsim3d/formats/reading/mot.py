@@ -95,7 +95,7 @@ class SequenceInfo:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _Columns:
     """Columns that lines may name: a class where those of `classed` do, and a frame; and remarks on columns."""
 
     to_label: Mapping[int, int]
@@ -160,7 +160,7 @@ def sequence_set(
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
     to_label = {number: order.index(name) for number, name in names.items()}
-    known = _Known(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), lines.said, first)
+    known = _Columns(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), lines.said, first)
     annotations = _annotations(annotated, known, problems)
     labels = len(order) if detected else 1  # detections may be matched label by label
     _add_regions(lines.regions, labels or 1, known, annotations, problems)
@@ -276,7 +276,7 @@ def _class_names(annotated: Lines, detected: Lines | None, labels: tuple[str, ..
     return {number: labels[number - 1] if number <= len(labels) else f"class_{number}" for number in classes}
 
 
-def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.AnnotationRows:
+def _annotations(lines: Lines, known: _Columns, problems: Problems) -> builder.AnnotationRows:
     rows = builder.AnnotationRows(partial(_corners, first=known.first))
     for where, numbers in lines:
         if not is_number(numbers[1], builder.NOT_GIVEN) or numbers[1] != int(numbers[1]):
@@ -306,7 +306,7 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.Ann
     return rows
 
 
-def _add_regions(lines: Lines, labels: int, known: _Known, rows: builder.AnnotationRows, problems: Problems) -> None:
+def _add_regions(lines: Lines, labels: int, known: _Columns, rows: builder.AnnotationRows, problems: Problems) -> None:
     """Append regions that are to be ignored, for each of so many labels: half of a detection inside is enough."""
     for where, numbers in lines:
         place = _place(where, [*numbers[:6], 0, next(iter(known.to_label), 0)], problems, known)
@@ -315,7 +315,7 @@ def _add_regions(lines: Lines, labels: int, known: _Known, rows: builder.Annotat
                 rows.add(replace(place, label=label), ignored=True, crowd=True)
 
 
-def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> builder.ResultRows:
+def _results(lines: Lines, known: _Columns, confidences: Confidences, problems: Problems) -> builder.ResultRows:
     rows = builder.ResultRows(partial(_corners, first=known.first))
     for where, numbers in lines:
         confidence = confidences.read(numbers[6], where, problems)
@@ -330,7 +330,7 @@ def _corners(boxes_px: Array, first: int) -> Array:
     return from_top_left(boxes_px) - first
 
 
-def _place(where: str, numbers: list[float], problems: Problems, known: _Known) -> LabelledRow | None:
+def _place(where: str, numbers: list[float], problems: Problems, known: _Columns) -> LabelledRow | None:
     """Image, label and box of a line; None with a problem if it has none."""
     frame, number, to_label = numbers[0], _class_of(numbers), known.to_label
     if not known.first <= frame <= known.most_frames or frame != int(frame):

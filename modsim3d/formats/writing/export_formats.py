@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 
 if TYPE_CHECKING:  # the command's help shows the formats, and needs no run
     from modsim3d.runs.camera_sequences import CameraSequence
@@ -94,7 +94,7 @@ def export(
     masks: bool = False,
     true_attitude: bool = False,
     overwrite: bool = False,
-) -> Written:
+) -> OutputFiles:
     """Write a run's truth and detections in another program's format.
 
         modsim3d.export("runs/first", "exported", format="coco")
@@ -128,7 +128,7 @@ def export(
         claimed_folders({out / name: pattern for name, pattern in folders}, overwrite=overwrite, inputs=read),
     ):
         chosen.write(request, out)
-    return Written((*paths, *(out / name for name, _ in folders)), chosen.notes(request))
+    return OutputFiles((*paths, *(out / name for name, _ in folders)), chosen.notes(request))
 
 
 def check_options(chosen: str, given: Mapping[str, object], others: Mapping[str, Sequence[str]] | None = None) -> None:

@@ -17,7 +17,7 @@ from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit
 from modsim3d.learn.lags import LagTable, vessel_noise, why_none
-from modsim3d.learn.matches import ErrorFits, ErrorSource, Observed, Pairs, kept_share
+from modsim3d.learn.matches import ErrorFits, ErrorSource, Outcomes, Pairs, kept_share
 from modsim3d.learn.persistence import Consecutive
 
 # ---- Which matches the box error of a state was learned from ----
@@ -158,7 +158,7 @@ class BoxErrorForm:
         """Whether errors are in sides of the box in every state."""
         return all(form.unit == "relative" for form in self.states)
 
-    def estimate(self, observed: Observed, resampling: bootstrap.Resampling) -> LearnedBoxErrors:
+    def estimate(self, observed: Outcomes, resampling: bootstrap.Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
         found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
@@ -179,7 +179,7 @@ class BoxErrorForm:
         return LearnedBoxErrors(states, persisting.box_s, persisting.vessel_share, tuple(used))
 
     def _persistence(
-        self, observed: Observed, fits: Sequence[ErrorFits], resampling: bootstrap.Resampling
+        self, observed: Outcomes, fits: Sequence[ErrorFits], resampling: bootstrap.Resampling
     ) -> ErrorPersistence:
         consecutive, models = _consecutive(observed, fits, self.states)
         time, share = bootstrap.Key(("persistence", "box_s")), bootstrap.Key(("persistence", "box_vessel_share"))
@@ -204,7 +204,7 @@ class ErrorPersistence:
 
 
 def _consecutive(
-    observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm]
+    observed: Outcomes, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm]
 ) -> tuple[Consecutive, list[ErrorModel | None]]:
     """Errors in consecutive frames by each state's law, or the plain one if its tails leave nothing; and those laws."""
     models: list[ErrorModel | None] = []
@@ -250,7 +250,7 @@ class LearnedBoxErrors:
         return {"box_error": self.states[state].section()}
 
 
-def choose_box_errors(observed: Observed) -> BoxErrorForm:
+def choose_box_errors(observed: Outcomes) -> BoxErrorForm:
     """Unit, source and law of the box error of each state, and whether errors persist."""
     notes: list[str] = []
     sources = [_source(observed, index, notes) for index in range(len(observed.states))]
@@ -284,7 +284,7 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
     return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep, components)
 
 
-def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
+def _source(observed: Outcomes, state: int, notes: list[str]) -> ErrorSource:
     pairs = observed.pairs
     whole = pairs.edges.whole
     own, every = int(np.count_nonzero(whole & (pairs.state == state))), int(np.count_nonzero(whole))
@@ -311,7 +311,7 @@ def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:
     return source
 
 
-def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[ErrorFits], notes: list[str]) -> float:
+def _persistence_s(observed: Outcomes, sources: list[ErrorSource], fits: list[ErrorFits], notes: list[str]) -> float:
     """Rough correlation time of errors; 0 with a note if they do not persist, or that is not sure."""
     if not len(observed.steps) or "persistence" in observed.without:
         return 0.0  # which the note on misses says
@@ -327,7 +327,7 @@ def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[Er
 
 
 def _things_keep(
-    observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm], notes: list[str]
+    observed: Outcomes, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm], notes: list[str]
 ) -> bool:
     """Whether each thing surely keeps a share of its errors; a note if not."""
     if "vessels" in observed.without:

@@ -15,7 +15,7 @@ from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.learn import lags, persistence
 from modsim3d.learn.bootstrap import Entry, Key, Resampling, digits, nested
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
-from modsim3d.learn.matches import Observed, Pairs
+from modsim3d.learn.matches import Outcomes, Pairs
 
 _ROUNDS = 4  # rounds in which a correlation time and what follows from it settle
 _STEPS_NEEDED = 20  # steps within a state that its errors are whitened from, instead of from the distribution
@@ -44,13 +44,13 @@ class WhiteErrors:
     heavy: Mask  # whether a state's errors have heavy tails, so that `white` has directions alone, shape (states,)
 
 
-def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> persistence.Consecutive:
+def consecutive_errors(observed: Outcomes, models: Sequence[ErrorModel | None]) -> persistence.Consecutive:
     """Whitened box errors in consecutive frames, given the distribution in each state, None where there is none.
     Products are means over as many components as edges count in both frames."""
     return _settled(observed, tuple(models))[0]
 
 
-def white_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> WhiteErrors:
+def white_errors(observed: Outcomes, models: Sequence[ErrorModel | None]) -> WhiteErrors:
     """Errors of boxes of which every edge counts, whitened as in `consecutive_errors`."""
     pairs, (_, shapes) = observed.pairs, _settled(observed, tuple(models))
     kept = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
@@ -64,7 +64,7 @@ def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
 
 @functools.lru_cache(1)
 def _settled(
-    observed: Observed, models: tuple[ErrorModel | None, ...]
+    observed: Outcomes, models: tuple[ErrorModel | None, ...]
 ) -> tuple[persistence.Consecutive, Sequence[Array | None]]:
     """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened,
     kept, as what is learned of one set asks for the same several times. It is that of changes from frame to frame,
@@ -201,7 +201,7 @@ class ComponentMemory:
         }
 
 
-def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[lags.LagTable], float]:
+def component_lags(observed: Outcomes, models: Sequence[ErrorModel | None]) -> tuple[list[lags.LagTable], float]:
     """Products at all times between of components, and of the size of heavy-tailed errors; share of large ones."""
     pairs = observed.pairs
     rows = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))

@@ -14,7 +14,7 @@ from modsim3d.core.boxes import centre_form
 from modsim3d.core.document import Table
 from modsim3d.core.text import counted, in_percent
 from modsim3d.geometry.camera import Camera
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage
 from modsim3d.learn.voyage.non_ais.classification import ClassifiedDetections
@@ -62,7 +62,7 @@ class Coverage:
         return np.histogram2d(self.bearing_deg[self.found], self.range_m[self.found], edges)[0], whole
 
 
-def coverages(observed: Observed, views: Sequence[View]) -> list[Coverage]:
+def coverages(observed: Outcomes, views: Sequence[View]) -> list[Coverage]:
     """The coverage of each camera that any vessel was before; views of one camera are taken together."""
     labelled, matched = observed.labelled, observed.matched
     of_image = np.full(len(labelled.images), -1)

@@ -14,7 +14,7 @@ from modsim3d.core.text import counted
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.bootstrap import Entry, spread
 from modsim3d.learn.box_errors.laws import LearnedErrors, covariance, moments
-from modsim3d.learn.learned_detector import Learned
+from modsim3d.learn.learned_detector import Estimates
 from modsim3d.learn.matches import ErrorSource, Pairs
 from modsim3d.learn.persistence import frame_interval_s, steps_between
 from modsim3d.learn.report import LearnReport
@@ -192,7 +192,7 @@ class CorrectedDetector:
     """A detector of which the errors of truth are taken off. Where these last far longer than those of the detector,
     they are `slow`, and are taken off what persists as well."""
 
-    learned: Learned  # what is written
+    learned: Estimates  # what is written
     states: tuple[Deconvolution | None, ...]  # None where too few boxes tell the errors of truth
     noise: ReferenceNoise
     moved: int  # number of vessels whose places registration has found
@@ -258,7 +258,7 @@ HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "at le
 
 
 def subtract_reference_error(
-    learned: Learned, scene: Scene, views: Sequence[View], noise: ReferenceNoise, level: float = 0.95, seed: int = 0
+    learned: Estimates, scene: Scene, views: Sequence[View], noise: ReferenceNoise, level: float = 0.95, seed: int = 0
 ) -> CorrectedDetector:
     """Take errors of truth off the learned box errors, where what is left is surely positive: where its interval of the
     level does not reach 0. The identities of the learned annotations are indices of the scene's vessels, see `View`;
@@ -285,7 +285,7 @@ def subtract_reference_error(
 
 
 def _deconvolved_state(
-    learned: Learned, index: int, jacobians: _Jacobians, noise: ReferenceNoise, level: float, seed: int
+    learned: Estimates, index: int, jacobians: _Jacobians, noise: ReferenceNoise, level: float, seed: int
 ) -> Deconvolution | None:
     """Errors of a state less those of truth; None where too few boxes tell these. See `subtract_reference_error`."""
     box_errors, pairs = learned.numbers.box_errors, learned.observed.pairs
@@ -325,7 +325,7 @@ class _Jacobians:
     moved: Indices
 
     @classmethod
-    def of(cls, learned: Learned, scene: Scene, views: Sequence[View]) -> _Jacobians:
+    def of(cls, learned: Estimates, scene: Scene, views: Sequence[View]) -> _Jacobians:
         """Jacobians of pairs in at most so many images of each camera."""
         pairs, labelled = learned.observed.pairs, learned.observed.labelled
         identity, vessel = labelled.annotations.identity[pairs.rows], np.full(len(pairs), -1)
@@ -359,14 +359,14 @@ class _Jacobians:
         return ReferenceErrors(*columns, noise, unit_px, self.moved[ours])
 
 
-def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:
+def _measured(learned: Estimates, ours: Mask, relative: bool) -> Array:
     """Covariances of the errors of some pairs (m,) in each replicate, shape (rows, 4, 4)."""
     pairs = learned.observed.pairs
     _, std, correlation = moments(learned.resampling, pairs.image[ours], pairs.errors(ours, relative))
     return np.stack([covariance(*each) for each in zip(np.nan_to_num(std), np.nan_to_num(correlation), strict=True)])
 
 
-def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
+def _changes(learned: Estimates, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
     """Standard deviations of errors' changes to the next frame less those of truth, given variances (4,), or NaN."""
     pairs, place = learned.observed.pairs, np.flatnonzero(ours)
     steps = steps_between(learned.observed.labelled, pairs.rows[place])

@@ -55,7 +55,7 @@ class Regions(Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Presence:
     """Knowledge of the places of V vessels at n times. `guessed` has poses of the vessels that are off, straight
     between the last place before and the first after, and of those just beyond their first or last one, straight on."""
 
@@ -86,19 +86,19 @@ class ReportAge:
         self._scene, self._reports, self.stale_s = scene, reports, stale_s
         self._every_s, self._poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
 
-    def at(self, times_s: Array) -> Known:
+    def at(self, times_s: Array) -> Presence:
         """Knowledge of the places at ascending times within the scene, (n,)."""
         count, vessels = len(times_s), len(self._scene.vessels)
         reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
         beyond, since_s = np.zeros((count, vessels), dtype=bool), np.zeros((count, vessels))
-        known = Known(reason, beyond, since_s, Poses.absent(count, vessels))
+        known = Presence(reason, beyond, since_s, Poses.absent(count, vessels))
         for column, name in enumerate(self._scene.vessel_names):
             steps = np.flatnonzero(self._poses.present[:, column])
             if len(steps):
                 self._fill(known, column, name, steps, times_s)
         return known
 
-    def _fill(self, known: Known, column: int, name: str, steps: Indices, times_s: Array) -> None:
+    def _fill(self, known: Presence, column: int, name: str, steps: Indices, times_s: Array) -> None:
         """Fill in the column of a vessel that is there at some steps, (k,)."""
         at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
         early, late = times_s < at_s[0] - NEAR_S, times_s > at_s[-1] + NEAR_S
@@ -124,7 +124,7 @@ class ReportAge:
         known.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
         self._fill_reports(known, column, name, times_s, there, speed)
 
-    def _fill_reports(self, known: Known, column: int, name: str, times_s: Array, there: Mask, speed: Array) -> None:
+    def _fill_reports(self, known: Presence, column: int, name: str, times_s: Array, there: Mask, speed: Array) -> None:
         """Fill in what the reports of a vessel say of times (n,), given whether it is there, and its speed in m/s."""
         used_s = self._reports.used_s.get(name) if self._reports else None
         if self._reports is None or used_s is None or not len(used_s):
@@ -201,7 +201,7 @@ def _told_beyond(beyond: Indices) -> Iterator[str]:
         )
 
 
-def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Presence) -> Regions:
     """Regions where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
     poses, frames = known.guessed, np.arange(len(known.since_s))
     places = PosesInWaves(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
@@ -211,7 +211,7 @@ def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, kn
     return _grown(found, camera, camera_poses, known)
 
 
-def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
+def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Presence) -> Regions:
     """Regions as much larger as places may be off, across the line of sight or along it. A vessel at distance r that is
     nearer by d is larger, and its waterline lower, by d / (r − d); one that is farther moves by less."""
     off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]

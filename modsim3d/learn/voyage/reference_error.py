@@ -113,7 +113,7 @@ class View:
 def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> Array:
     """Derivatives of boxes, centre x and y, width and height in px, uncut, by the `PARAMETERS`, (n, 4, 8), for rows
     `frame` of a view and the scene's vessels, (n,) each; nan for one that is absent or partly behind the camera."""
-    placed = _Placed.of(scene, view, frame, vessel)
+    placed = _PlacedVessels.of(scene, view, frame, vessel)
     result = np.full((len(frame), 4, len(PARAMETERS)), np.nan)
     for column, step in enumerate(_STEPS):
         move = np.zeros(len(_STEPS))
@@ -126,7 +126,7 @@ def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
+class _PlacedVessels:
     """n vessels before a camera: hulls in VCF (n, K, 3), positions (n, 3), headings (n,), and rotations by waves."""
 
     camera: Camera
@@ -139,7 +139,7 @@ class _Placed:
     curved: bool
 
     @classmethod
-    def of(cls, scene: Scene, view: View, frame: Indices, vessel: Indices) -> _Placed:
+    def of(cls, scene: Scene, view: View, frame: Indices, vessel: Indices) -> _PlacedVessels:
         """Vessels in some frames of a view."""
         poses = view.poses
         cameras = scene.camera_poses(view.camera, poses, np.arange(len(view.images)))

@@ -16,7 +16,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned_detector import LearnSettings
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.states import each_its_own, parse_states
 from modsim3d.learn.voyage import coverage as sea_coverage
@@ -130,7 +130,7 @@ def learn_beside_unseen(
     states = parse_states(options.states, conditions) if options.states else each_its_own(conditions)
     image_state = states.of_images(labelled.images, conditions)
     matched = match(labelled, settings.rule, settings.threshold)
-    observed = Observed(labelled, matched, states.names, image_state, settings.threshold, settings.without)
+    observed = Outcomes(labelled, matched, states.names, image_state, settings.threshold, settings.without)
     judged = classification.classify_unmatched(observed, stretches, least_s)
     report = learn_detector(judged.labelled, settings, options)
     learned = report.learned

@@ -58,7 +58,7 @@ Breakdown = tuple[Group, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class _Followed:
+class _FollowedFrames:
     """The n vessel-frames that are scored: whether a track follows the vessel, and its association, NaN where none
     does; shapes (n,)."""
 
@@ -85,7 +85,7 @@ class _Followed:
 def breakdown(scored: ScoredRun) -> Breakdown:
     """The scored vessel-frames by visibility, occlusion, state, range, size, edge of the image and label."""
     rows, truth = scored.rows, scored.truth
-    followed = _Followed(*association_of_pairs(scored))
+    followed = _FollowedFrames(*association_of_pairs(scored))
     names = ("visible_fraction", "depth_m", "in_frame_fraction")
     visible, depth_m, in_frame = (rows.numbers(name)[truth.row] for name in names)
     side_px = np.sqrt(areas(truth.boxes_px))
@@ -136,7 +136,7 @@ def _places(values: Array, edges: Sequence[int]) -> Indices:
     return index
 
 
-def _by_occlusion(scored: ScoredRun, followed: _Followed) -> tuple[Group, Group]:
+def _by_occlusion(scored: ScoredRun, followed: _FollowedFrames) -> tuple[Group, Group]:
     """The vessel-frames by phase of an occlusion, and those during one by its length."""
     spans = OcclusionSpans.of(scored)
     during, phase = _phases(scored, spans)

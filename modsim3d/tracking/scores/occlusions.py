@@ -159,7 +159,7 @@ def _track_numbers(scored: ScoredRun, spans: OcclusionSpans, places: Indices) ->
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenTracks:
     """Tracks on vessels that are wholly hidden, against the box of the whole vessel."""
 
     hidden_vessel_frames: int  # frames of vessels of which no pixel is visible
@@ -167,15 +167,15 @@ class Hidden:
     hidden_same_track: float | None  # share in which that is the track that last followed it before it was hidden
 
 
-def hidden(scored: ScoredRun) -> Hidden:
+def hidden(scored: ScoredRun) -> HiddenTracks:
     """Recall and identity on rows that are wholly hidden."""
     histories = Histories.of(scored)
     chosen = histories.hidden & histories.counted
     count = int(np.count_nonzero(chosen))
     if not count:
-        return Hidden(0, None, None)
+        return HiddenTracks(0, None, None)
     before = histories.last_before(histories.followed & ~histories.hidden)
     earlier = np.append(histories.track, NOBODY)[before]
     followed = histories.followed[chosen]
     same = followed & (histories.track == earlier)[chosen]
-    return Hidden(count, float(np.mean(followed)), float(np.mean(same)))
+    return HiddenTracks(count, float(np.mean(followed)), float(np.mean(same)))

@@ -15,13 +15,13 @@ from modsim3d.tracking.scores.association import Clear, Hota, Identity, by_track
 from modsim3d.tracking.scores.breakdown import Breakdown, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity
 from modsim3d.tracking.scores.errors import Errors, Gospa, Ospa, Siap, errors, gospa, ospa, siap
-from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival
+from modsim3d.tracking.scores.occlusions import HiddenTracks, OcclusionEpisode, Survival, hidden, occlusions, survival
 from modsim3d.tracking.scores.scored_run import Rules, ScoredRun
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import follow
 
 Value = float | int | None | tuple[float, ...]
-Part = Hota | Clear | Identity | Gospa | Ospa | Siap | Errors | Continuity | Hidden | Survival
+Part = Hota | Clear | Identity | Gospa | Ospa | Siap | Errors | Continuity | HiddenTracks | Survival
 """Scores that belong together; the names of their fields are keys of the JSON."""
 OWN_PARTS: tuple[Callable[[ScoredRun], Part], ...] = (gospa, ospa, siap, errors, continuity, hidden, survival)
 """What is computed here, after the scores by TrackEval, in the order of the keys."""

@@ -17,7 +17,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.csv import rounded
 from modsim3d.io.coprocess import Coprocess, shown_line
 from modsim3d.io.input_files import file_sha256
-from modsim3d.io.validation import Needed, Number, Probability, Strict, describe
+from modsim3d.io.validation import NeedText, Number, Probability, Strict, describe
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stream_lines import header_of
 from modsim3d.scene.scene import Scene
@@ -99,7 +99,7 @@ class ImageTrack(Strict):
     covariance_px2: tuple[Two, Two] | None = None
 
 
-_COVARIANCE = Needed("2 rows of 2 numbers (of the position), or 4 of 4 (and the velocity) are needed")
+_COVARIANCE = NeedText("2 rows of 2 numbers (of the position), or 4 of 4 (and the velocity) are needed")
 
 
 class WorldTrack(Strict):
@@ -214,7 +214,7 @@ _LOCATED = (
     *("bearing_rad", "bearing_std_rad", "inverse_range_per_m", "inverse_range_std_per_m", "covariance_rad_per_m"),
     *("position_m", "position_covariance_m2"),
 )
-"""Keys of the fields of `Located`, in their order."""
+"""Keys of the fields of `Locations`, in their order."""
 
 
 def _detections(frame: WorldFrame, labels: Sequence[str], world: bool) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ _TIME_S = 1e-6  # times are differences of rounded ones, maybe since 1970: one t
 
 
 @dataclass(frozen=True, eq=False)
-class _Known:
+class _LiveTracks:
     """The tracks that are alive: k rows; shapes (k,) unless given."""
 
     # Centre x, centre y, width and height, shape (k, 4). A size has no rate: it would shrink behind others.
@@ -36,13 +36,13 @@ class _Known:
     votes: Array  # confidence of its detections, summed by label, shape (k, labels)
     confidence: Array  # of the last detection
 
-    def take(self, chosen: Mask) -> _Known:
+    def take(self, chosen: Mask) -> _LiveTracks:
         _, *columns = vars(self).values()
-        return _Known(self.motion.take(chosen), *(column[chosen] for column in columns))
+        return _LiveTracks(self.motion.take(chosen), *(column[chosen] for column in columns))
 
-    def joined(self, more: _Known) -> _Known:
+    def joined(self, more: _LiveTracks) -> _LiveTracks:
         _, *columns = zip(vars(self).values(), vars(more).values(), strict=True)
-        return _Known(self.motion.joined(more.motion), *(np.concatenate(pair) for pair in columns))
+        return _LiveTracks(self.motion.joined(more.motion), *(np.concatenate(pair) for pair in columns))
 
 
 class ReferenceTracker(Tracker):
@@ -86,14 +86,14 @@ class ReferenceTracker(Tracker):
             begun, before_s = begun + len(fresh), frame.time_s
             yield self._reported(known, frame.time_s, camera)
 
-    def _new(self, frame: SensedFrame, rows: Indices, begun: int, labels: int) -> _Known:
+    def _new(self, frame: SensedFrame, rows: Indices, begun: int, labels: int) -> _LiveTracks:
         """Tracks of some of a frame's detections, numbered from `begun` on."""
         boxes, votes = centre_form(frame.boxes_px[rows]), np.zeros((len(rows), labels))
         votes[np.arange(len(rows)), frame.label[rows]] = frame.confidence[rows]
         motion = MotionEstimates.at(boxes, self._noise_px2(boxes), np.repeat([self.first_speed_px_s**2, 0.0], 2))
         number = np.arange(begun, begun + len(rows))
         ones, seen_s = np.ones_like(number), np.full(len(rows), frame.time_s)
-        return _Known(motion, number, ones, ones - 1, seen_s, votes, frame.confidence[rows])
+        return _LiveTracks(motion, number, ones, ones - 1, seen_s, votes, frame.confidence[rows])
 
     def _noise_px2(self, boxes: Array) -> Array:
         """Variance of detected centres, widths and heights, for boxes of about these sizes, shape (k, 4)."""
@@ -122,7 +122,7 @@ class ReferenceTracker(Tracker):
         good = near[track, found]
         return track[good], found[good]
 
-    def _corrected(self, known: _Known, frame: SensedFrame, track: Indices, found: Indices) -> _Known:
+    def _corrected(self, known: _LiveTracks, frame: SensedFrame, track: Indices, found: Indices) -> _LiveTracks:
         motion = known.motion.take(track)
         better = motion.corrected(centre_form(frame.boxes_px[found]), self._noise_px2(motion.place))
         hits, seen_s, confidence = known.hits.copy(), known.seen_s.copy(), known.confidence.copy()
@@ -132,14 +132,14 @@ class ReferenceTracker(Tracker):
         hits[track] += 1
         seen_s[track], confidence[track] = frame.time_s, frame.confidence[found]
         votes[track, frame.label[found]] += frame.confidence[found]
-        return _Known(known.motion.with_rows(track, better), known.number, hits, misses, seen_s, votes, confidence)
+        return _LiveTracks(known.motion.with_rows(track, better), known.number, hits, misses, seen_s, votes, confidence)
 
-    def _alive(self, known: _Known, time_s: float) -> _Known:
+    def _alive(self, known: _LiveTracks, time_s: float) -> _LiveTracks:
         unconfirmed = (known.hits < self.confirm_hits) & (known.misses > 1)
         alive = (time_s - known.seen_s <= self.lost_s + _TIME_S) & ~unconfirmed
         return known if alive.all() else known.take(alive)
 
-    def _reported(self, known: _Known, time_s: float, camera: CameraFacts) -> TrackedFrame:
+    def _reported(self, known: _LiveTracks, time_s: float, camera: CameraFacts) -> TrackedFrame:
         motion = known.motion
         boxes = corner_form(np.concatenate([motion.place[:, :2], np.maximum(motion.place[:, 2:], 1)], axis=1))
         shown = (known.hits >= self.confirm_hits) & (time_s - known.seen_s <= self.coast_s + _TIME_S)

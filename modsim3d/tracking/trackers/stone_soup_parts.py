@@ -83,7 +83,7 @@ class _Starter(SimpleMeasurementInitiator):  # type: ignore[misc]
         )
 
 
-class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
+class _Confirmer(MultiMeasurementInitiator):  # type: ignore[misc]
     """Confirms tracks in order of the detections' rows."""
 
     def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> _OrderedSet:
@@ -91,7 +91,7 @@ class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
         return _OrderedSet(sorted(super().initiate(left, timestamp, **kwargs), key=row_of))
 
 
-class _Lost(UpdateTimeDeleter):  # type: ignore[misc]
+class _LossDeleter(UpdateTimeDeleter):  # type: ignore[misc]
     """Deletes the same tracks, without a look at all their states."""
 
     def check_for_deletion(self, track: Any, timestamp: datetime | None = None, **_: Any) -> bool:
@@ -103,16 +103,16 @@ def assembled(settings: Any, starter: Any, updater: Any, nearest: Any, joint: An
     """Stone Soup's tracker, with tracks in order. New tracks are confirmed by the hypotheses of `nearest`; confirmed
     ones are followed by the same, or by the joint associator."""
     associator = GNNWith2DAssignment(nearest)
-    confirming = _Confirming(
+    confirming = _Confirmer(
         prior_state=None,
-        deleter=_Lost(timedelta(seconds=settings.tentative_s)),
+        deleter=_LossDeleter(timedelta(seconds=settings.tentative_s)),
         data_associator=associator,
         updater=updater,
         min_points=settings.minimum_detections,
         initiator=starter,
     )
     confirming.holding_tracks = _OrderedSet()
-    lost = _Lost(timedelta(seconds=settings.lost_s))
+    lost = _LossDeleter(timedelta(seconds=settings.lost_s))
     if joint is None:
         tracker = MultiTargetTracker(confirming, lost, None, associator, updater)
     else:

@@ -13,7 +13,7 @@ from modsim3d.formats.writing.ais.log import EPOCH_S, NO_COURSE, NO_HEADING, NO_
 from modsim3d.formats.writing.ais.sensors import stations
 from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
-from modsim3d.runs.locating import Located, Viewpoints, locate
+from modsim3d.runs.locating import Locations, Viewpoints, locate
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.scene.ais.messages import local_metres, wrapped_deg
@@ -69,11 +69,11 @@ def _frames(scene: Scene, sequence: CameraSequence, bare: bool) -> Iterator[Worl
     poses = Viewpoints.of(scene, camera, steps, measured=True).poses()
     edges = np.searchsorted(found.frame, np.arange(len(steps) + 1)).tolist()
     for row, (each, (a, b)) in enumerate(zip(sensed, pairwise(edges), strict=True)):
-        located = Located(*(values[a:b] for values in every))
+        located = Locations(*(values[a:b] for values in every))
         yield WorldFrame(camera.name, each, located, poses.positions_m[row], poses.camera_R_world[row])
 
 
-_NOWHERE = Located(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
+_NOWHERE = Locations(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
 
 
 def _readings(scene: Scene, own: OwnShips, step: int) -> Iterator[Navigation]:

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.validation import Strict
-from modsim3d.runs.locating import Located
+from modsim3d.runs.locating import Locations
 from modsim3d.tracking.trackers.interface import SensedFrame
 
 
@@ -31,7 +31,7 @@ class WorldFrame:
 
     camera: str  # name
     sensed: SensedFrame
-    located: Located  # m rows: each detection in the world by what is known, with the detector's mean errors taken out
+    located: Locations  # m rows: each detection in the world by what is known, without the detector's mean errors
     position_m: Array  # of the camera's centre, (3,)
     camera_R_world: Array  # from the world to the camera, by the measured attitude, (3, 3)
 

@@ -47,7 +47,7 @@ def quartiles(values: list[float | None]) -> Quartiles:
 
 
 @dataclass(frozen=True)
-class OverVessels:
+class VesselMean:
     """A mean over vessels, each with one value, however long it was followed."""
 
     mean: float | None  # None without vessels
@@ -67,11 +67,11 @@ class OverVessels:
 class WorldErrors:
     """Errors of the tracks that follow a scored vessel, as means over vessels."""
 
-    rmse_m: OverVessels  # root of a vessel's mean squared error of position
-    rmse_m_s: OverVessels  # of velocity, where tracks have one
-    nees: OverVessels  # mean squared error of position over its covariance, e' P⁻¹ e: 2 if the covariance is right
-    nees_velocity: OverVessels  # of velocity: 2
-    nees_state: OverVessels  # of position and velocity together, where tracks have the whole covariance: 4
+    rmse_m: VesselMean  # root of a vessel's mean squared error of position
+    rmse_m_s: VesselMean  # of velocity, where tracks have one
+    nees: VesselMean  # mean squared error of position over its covariance, e' P⁻¹ e: 2 if the covariance is right
+    nees_velocity: VesselMean  # of velocity: 2
+    nees_state: VesselMean  # of position and velocity together, where tracks have the whole covariance: 4
     pairs: int  # estimates that are compared, over all vessels and steps
 
 
@@ -94,11 +94,11 @@ def world_errors(following: WorldMatching) -> WorldErrors:
 
     whole = nees_or_infinity(np.concatenate([position, velocity], axis=1), covariance)
     return WorldErrors(
-        rmse_m=OverVessels.of(np.sqrt(by_vessel((position**2).sum(axis=1)))),
-        rmse_m_s=OverVessels.of(np.sqrt(by_vessel((velocity**2).sum(axis=1)))),
-        nees=OverVessels.of(by_vessel(nees_or_infinity(position, covariance[:, :2, :2]))),
-        nees_velocity=OverVessels.of(by_vessel(nees_or_infinity(velocity, covariance[:, 2:, 2:]))),
-        nees_state=OverVessels.of(by_vessel(whole)),
+        rmse_m=VesselMean.of(np.sqrt(by_vessel((position**2).sum(axis=1)))),
+        rmse_m_s=VesselMean.of(np.sqrt(by_vessel((velocity**2).sum(axis=1)))),
+        nees=VesselMean.of(by_vessel(nees_or_infinity(position, covariance[:, :2, :2]))),
+        nees_velocity=VesselMean.of(by_vessel(nees_or_infinity(velocity, covariance[:, 2:, 2:]))),
+        nees_state=VesselMean.of(by_vessel(whole)),
         pairs=len(row),
     )
 
@@ -109,7 +109,7 @@ class WorldContinuity:
 
     vessels: int  # scored at some step
     established: int  # those that are followed at one of these steps
-    followed_share: OverVessels  # share of a vessel's scored steps at which it is followed
+    followed_share: VesselMean  # share of a vessel's scored steps at which it is followed
     id_switches: int  # times at which a vessel is followed by another track than when it was followed last
     track_breaks: int  # stretches of scored steps without a track, between two with one
     false_tracks: int  # tracks that never follow a vessel, scored or not
@@ -129,7 +129,7 @@ def world_continuity(following: WorldMatching) -> WorldContinuity:
     return WorldContinuity(
         vessels=int((steps > 0).sum()),
         established=int((followed > 0).sum()),
-        followed_share=OverVessels.of(share),
+        followed_share=VesselMean.of(share),
         id_switches=sum(switches for switches, _ in pairs),
         track_breaks=sum(breaks for _, breaks in pairs),
         false_tracks=len(np.unique(tracks[false])),
@@ -242,5 +242,5 @@ def score_world(
     )
 
 
-def _mean_keys(name: str, value: OverVessels) -> Mapping[str, float | None]:
+def _mean_keys(name: str, value: VesselMean) -> Mapping[str, float | None]:
     return {name: value.mean, f"{name}_low": value.low, f"{name}_high": value.high}

@@ -144,7 +144,7 @@ class Difference(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class SaidOfFrame:
+class FrameValues:
     """Values of one frame by the truth and by exact geometry."""
 
     truth: Truth  # its rows
@@ -158,7 +158,7 @@ class SaidOfFrame:
 def check_frame(
     drawing: Drawing,
     renderer: IdRenderer,
-    said: SaidOfFrame,
+    said: FrameValues,
     boxed: Set[int],
     names: Sequence[str],
     *,
@@ -193,7 +193,7 @@ def _look_beside(found: Sequence[_VesselPixels], seen: Ids, tile: Region) -> Non
 class _VesselPixels:
     """The pixels of a vessel in a frame, compared tile by tile; `row` is its row of the truth, None if it has none."""
 
-    def __init__(self, drawing: Drawing, said: SaidOfFrame, vessel: int, row: int | None, names: Sequence[str]) -> None:
+    def __init__(self, drawing: Drawing, said: FrameValues, vessel: int, row: int | None, names: Sequence[str]) -> None:
         self.drawing, self.alone, self.vessel, self.row, self.names = drawing, drawing.only(vessel), vessel, row, names
         self.said, ss = said, drawing.supersample
         self.spans = [spans.take(spans.row == vessel) for spans in (said.silhouettes, said.visible)]

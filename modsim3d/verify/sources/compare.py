@@ -15,7 +15,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import PixelMasks, analytic_occlusion, rectangle_occlusion
-from modsim3d.truth.crosscheck.comparison import CheckCounts, Difference, SaidOfFrame, check_frame, mask_of
+from modsim3d.truth.crosscheck.comparison import CheckCounts, Difference, FrameValues, check_frame, mask_of
 from modsim3d.truth.crosscheck.drawing import Drawing
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion import Occlusion
@@ -55,7 +55,7 @@ class FastPath:
         missing = 0
         for frame, drawing in enumerate(drawings):
             silhouettes, visible = (spans_of_frame(each, self.outlines, frame) for each in self.spans)
-            said = SaidOfFrame(truth.take(truth.step == frame), silhouettes, visible, areas={})
+            said = FrameValues(truth.take(truth.step == frame), silhouettes, visible, areas={})
             vessels = set(np.flatnonzero(boxed[frame]).tolist())
             while True:  # until all vessels that differ are left out
                 try:

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.core.document import Block, Document, Heading, Items, Result, Table, Text, Where
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import UNKNOWN, counted, percent_of
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 from modsim3d.detector.file.reading import find_detector, load_detector
 from modsim3d.io.overwrite_guard import check_free, locked_folder
 from modsim3d.scene.ais.gathering import SHOWN_PROBLEMS
@@ -290,7 +290,7 @@ def _shown(text: str) -> str:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class AisScene(Result, Written):
+class AisScene(Result, OutputFiles):
     """A scene folder that was made from AIS, from `ais`; `traffic` has the vessels, and what became of the reports.
 
     scene = modsim3d.load_scene(modsim3d.ais("log.csv", "scenes/sound"))

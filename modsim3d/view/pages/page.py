@@ -103,7 +103,7 @@ def html_of(block: doc.Block) -> str:
             return f"<figure>\n{block.draw()}\n{caption}</figure>"
         case doc.Fold():
             return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
-        case doc.Beside():
+        case doc.BlockRow():
             inner = "\n".join(f"<div>{html_of(each)}</div>" for each in block.blocks)
             return f'<div class="beside">\n{inner}\n</div>'
         case doc.Table():

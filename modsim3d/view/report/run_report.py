@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path, out_file
-from modsim3d.core.written_files import Written
+from modsim3d.core.written_files import OutputFiles
 from modsim3d.io.overwrite_guard import claimed, claimed_folders
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.selection import check_every
@@ -31,7 +31,7 @@ def report(
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
     call: str | None = None,
-) -> Written:
+) -> OutputFiles:
     """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
 
         page = modsim3d.report("runs/first", "page.html", tracks="tracks/reference")
@@ -73,7 +73,7 @@ def report(
             shown = None if tracks is None else as_path(tracks, "tracks")
             of = (run, path, every, progress, followed, call, shown)
             write_report(*of, in_files=parts, pictures=images, look=drawn_as)
-    return Written((path, *folders), () if followed is None else (followed.sentence(),))
+    return OutputFiles((path, *folders), () if followed is None else (followed.sentence(),))
 
 
 def _check_together(other: StoredRun | StrPath | None, given: Mapping[str, object]) -> None:

@@ -140,7 +140,7 @@ LAND_WORK, PAIR_WORK, MAX_WORK = 20, 2_000, 3_000_000_000
 for a drive: about a minute."""
 
 
-class TooCrowded(Exception):
+class CrowdedSea(Exception):
     """So many ways have been compared that the vessels cannot be meant to have room."""
 
 
@@ -226,7 +226,7 @@ class Waters:
     def _count(self, work: int) -> None:
         self.work += work
         if self.work > MAX_WORK:
-            raise TooCrowded
+            raise CrowdedSea
 
     def _around(self, sweep: Sweep, steps: slice) -> list[int]:
         """Vessels that a short track could come near, by the distance at its middle."""

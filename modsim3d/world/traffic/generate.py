@@ -15,7 +15,7 @@ from modsim3d.io.validation import join_path, nearest
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.world.poses.replay import RecordedPoses, check_pose_count
 from modsim3d.world.traffic import lanes
-from modsim3d.world.traffic.clearance import LONGEST_INTERVAL_S, Land, TooCrowded, Waters, least_gaps
+from modsim3d.world.traffic.clearance import LONGEST_INTERVAL_S, CrowdedSea, Land, Waters, least_gaps
 from modsim3d.world.traffic.encounters import draw_encounter, encounter_problems
 from modsim3d.world.traffic.keys import LeisureKeys, OwnKeys, TrafficSections
 from modsim3d.world.traffic.lanes import Chart, Craft, between
@@ -175,7 +175,7 @@ def plan(keys_json: str, setting: PoseRequest) -> DrivePlan:
         raise refused(problems)
     try:
         craft = tuple(_draw(chart))
-    except TooCrowded:
+    except CrowdedSea:
         left = ", ".join(f"{number} of {name}" for name, number in chart.left_out.items()) or "none"
         full = f"too many vessels for the water or the time: {len(waters.fleet)} found room so far, {left} did not"
         raise refused([f": {full}; ask for fewer, or for a shorter drive"]) from None

@@ -100,7 +100,7 @@ SECONDS_A_COST, LANE_A_COST, PACE_A_COST, SIDESTEP_COST, METRES_A_COST = 60.0, 1
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
+class _Vessel:
     """Vessel drawn in a lane; `across` is her place in the usable width, port first."""
 
     hull: DrawnHull
@@ -190,18 +190,18 @@ def _seen_s(track: Track, chart: Chart) -> float:
     return min(track.end_s, chart.waters.end_s) - max(track.start_s, 0.0)
 
 
-def _seen_changes(chart: Chart, drawn: _Drawn, least_s: float, conflict_s: float | None) -> Iterator[Sequence[Track]]:
+def _seen_changes(chart: Chart, drawn: _Vessel, least_s: float, conflict_s: float | None) -> Iterator[Sequence[Track]]:
     for tracks in _changes(drawn, conflict_s):
         if seen := [track for track in tracks if _seen_s(track, chart) >= least_s]:
             yield seen
 
 
-def _draw(chart: Chart, lane: LaneKeys, kind: str, outbound: bool, start_s: float, rng: np.random.Generator) -> _Drawn:
+def _draw(chart: Chart, lane: LaneKeys, kind: str, outbound: bool, start_s: float, rng: np.random.Generator) -> _Vessel:
     hull, speed = chart.hull(lane, kind, rng)
     way = rounded(np.array(lane.waypoints_m), EASY * hull.turning_radius_m + lane.width_m / 2)
     starboard = (lane.width_m - hull.beam_m) / 2
     port = (hull.beam_m + chart.keys.clearance_m) / 2 if lane.both_ways else -starboard
-    return _Drawn(
+    return _Vessel(
         hull=hull,
         way=way if outbound else way.reversed(),
         width=(port, max(starboard, port)),
@@ -212,7 +212,7 @@ def _draw(chart: Chart, lane: LaneKeys, kind: str, outbound: bool, start_s: floa
     )
 
 
-def _changes(drawn: _Drawn, conflict_s: float | None) -> Iterator[Sequence[Track]]:
+def _changes(drawn: _Vessel, conflict_s: float | None) -> Iterator[Sequence[Track]]:
     """All changed tracks: another time, another place across the lane, another speed, an alteration to starboard."""
     first = drawn.track()
     across = [drawn.track(across=place) for place in SHIFTS]
@@ -223,7 +223,7 @@ def _changes(drawn: _Drawn, conflict_s: float | None) -> Iterator[Sequence[Track
     yield [_later(track, delay) for track, delay in product([first, *across, *paces, *aside], (0.0, *DELAYS_S))]
 
 
-def _sidesteps(drawn: _Drawn, track: Track, conflict_m: float) -> list[Track]:
+def _sidesteps(drawn: _Vessel, track: Track, conflict_m: float) -> list[Track]:
     found = [
         drawn.sidestep(track, aside, conflict_m + 2 * aside * ahead)
         for aside, ahead in product(SIDESTEPS_M, (-1.0, 0.0, 1.0))

@@ -15,11 +15,11 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Matched, Rule, image_pairs, match
+from modsim3d.formats.matching import Matching, Rule, image_pairs, match
 from modsim3d.io.validation import shown
 from modsim3d.learn.bootstrap import Column, Entry, Resampling, ratio, resample, run_length_s, with_entries
-from modsim3d.learn.learned_detector import Learned
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.learned_detector import Estimates
+from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.voyage.logs.log import MIN_UNIX_S, utc_s
 from modsim3d.learn.voyage.non_ais import duration_types, linking
 from modsim3d.learn.voyage.non_ais.linking import Links
@@ -229,7 +229,7 @@ class Crossings:
     results: Mask  # (D,)
 
 
-def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, matched: Matched) -> Crossings:
+def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, matched: Matching) -> Crossings:
     """Known vessels to whose box a vessel without a transponder comes close; detections about them and at borders."""
     known, results, number = labelled.annotations, labelled.results, len(labelled.images)
     rows, places = _meetings(tracks, labelled, matched.rule)
@@ -310,7 +310,7 @@ def _border(boxes_px: Array, sizes_px: Array) -> Mask:
     return np.column_stack([boxes_px[:, 0] <= linking.AT_BORDER_PX, far])
 
 
-def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matched, threshold: float) -> Indices:
+def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matching, threshold: float) -> Indices:
     """Rows of detections below the least confidence that lie where a vessel without a transponder is."""
     results = labelled.results
     faint = np.flatnonzero(results.confidence < threshold)
@@ -331,7 +331,7 @@ _LIKELY, _PERHAPS = 0.5, 0.1  # probabilities from which a thing is taken for a 
 class ClassifiedDetections:
     """Classes of the unmatched detections of a labelled set."""
 
-    observed: Observed  # the set with its matches, before anything is left out
+    observed: Outcomes  # the set with its matches, before anything is left out
     links: Links  # the unmatched detections, linked
     tracklets: linking.Tracklets  # what they are of
     kinds: duration_types.DurationTypes  # the mixture of lifetimes, in one row
@@ -360,7 +360,7 @@ class ClassifiedDetections:
         return crossings(self.tracks, self.links, self.observed.labelled, self.observed.matched)
 
     @cached_property
-    def telling(self) -> Observed:
+    def telling(self) -> Outcomes:
         """The set and its matches, but for known vessels of which nothing can be told where others pass them."""
         matched = self.observed.matched
         sought = matched.sought & ~self.crossings.annotations
@@ -407,7 +407,7 @@ class ClassifiedDetections:
         resampling = resample(images, replicates, seed, run_length_s(images, float(self.kinds.short_s[0])))
         return self.rates(resampling, self.observed.image_state, self.observed.states)
 
-    def corrected(self, learned: Learned) -> Learned:
+    def corrected(self, learned: Estimates) -> Estimates:
         """Correct what was learned from `labelled` by the rate of false positives that is used, as the mixture says."""
         states = learned.observed.states
         rates = self.rates(learned.resampling, learned.observed.image_state, states)
@@ -427,7 +427,7 @@ class ClassifiedDetections:
 
 
 def classify_unmatched(
-    observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = duration_types.MIN_S
+    observed: Outcomes, stretches: tuple[TimeSpan, ...] = (), least_s: float = duration_types.MIN_S
 ) -> ClassifiedDetections:
     """Link a voyage's unmatched detections, in images with a state, and judge them, given empty stretches on their
     clock, and the least mean lifetime of vessels. Raises InputError if no image lies in a stretch."""
@@ -443,7 +443,7 @@ def classify_unmatched(
     return ClassifiedDetections(observed, links, tracklets, kinds, stretches, empty, least_s)
 
 
-def _free_share(observed: Observed) -> Array:
+def _free_share(observed: Outcomes) -> Array:
     """Share of the false detections of each state that are neither second boxes nor parts of vessels, (states,)."""
     results, states = observed.labelled.results, len(observed.states)
     free, every = (

@@ -15,7 +15,7 @@ from modsim3d.core.statistics import MAD_TO_STD
 from modsim3d.core.text import in_percent
 from modsim3d.formats.labelled import Annotations, Images
 from modsim3d.formats.matching import image_pairs
-from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.matches import FalseSightings, Outcomes
 from modsim3d.learn.persistence import frame_interval_s
 
 # ---- By how much boxes jump ----
@@ -48,7 +48,7 @@ class Jitter:
 STEADY = Jitter(np.zeros(2), np.zeros(2), 1.0)
 
 
-def jitter_of(observed: Observed, longest_s: float) -> Jitter:
+def jitter_of(observed: Outcomes, longest_s: float) -> Jitter:
     """Jitter of the smallest known vessels in full view, from detections at most so long apart; 0 if they are few."""
     pairs, images = observed.pairs, observed.labelled.images
     if not len(pairs):
@@ -264,7 +264,7 @@ class Links:
         return int(self.link.max(initial=-1)) + 1
 
 
-def link(observed: Observed) -> Links:
+def link(observed: Outcomes) -> Links:
     """Link the false positives of a labelled set whose images have times; others are things of their own."""
     sightings, images = observed.false_sightings, observed.labelled.images
     time_s = images.time_s[sightings.image]

@@ -49,7 +49,7 @@ class Search:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Directions:
     """Detections as directions from the camera: azimuth to the right, elevation down, width, all in radians."""
 
     frame: Indices
@@ -83,7 +83,7 @@ def _mirrored(lens: Intrinsics, found: BoxesAtTimes) -> BoxesAtTimes:
     return BoxesAtTimes(found.times_s, found.frame, boxes)
 
 
-def _directions(lens: Intrinsics, found: BoxesAtTimes) -> _Seen:
+def _directions(lens: Intrinsics, found: BoxesAtTimes) -> _Directions:
     """The middle of the lower edge of each box, and the angle between its sides; what no lens shows is left out."""
     left, _, right, bottom = found.boxes_px.T
     pixels = np.stack([np.stack([x, bottom], axis=-1) for x in (left, (left + right) / 2, right)], axis=1)
@@ -91,10 +91,10 @@ def _directions(lens: Intrinsics, found: BoxesAtTimes) -> _Seen:
     azimuth = np.arctan2(rays[..., 0], rays[..., 2])
     down = np.arctan2(rays[:, 1, 1], np.hypot(rays[:, 1, 0], rays[:, 1, 2]))
     known = np.isfinite(azimuth).all(axis=1) & np.isfinite(down)
-    return _Seen(found.frame[known], azimuth[known, 1], down[known], (azimuth[:, 2] - azimuth[:, 0])[known])
+    return _Directions(found.frame[known], azimuth[known, 1], down[known], (azimuth[:, 2] - azimuth[:, 0])[known])
 
 
-def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
+def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Directions:
     """Directions of all vessels that are there and, turned by the most, in the field of view, in order of frame."""
     traffic, count = model.traffic, len(model.hulls_m)
     frame, vessel = np.divmod(np.arange(len(times_s) * count), count)
@@ -104,7 +104,7 @@ def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
         there &= traffic.there(times_s[frame], np.full(len(frame), traffic.carrier))
     frame, vessel = frame[there], vessel[there]
     if not len(frame):
-        return _Seen(frame, *np.empty((3, 0)))
+        return _Directions(frame, *np.empty((3, 0)))
     none = Values.none(count)
     places, rotations = traffic.at(times_s[frame], vessel)
     camera = model.camera_poses(none, times_s[frame]).to_camera(places[:, None])[:, 0]
@@ -116,10 +116,10 @@ def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
     azimuth, down = np.arctan2(camera[:, 0], camera[:, 2]), np.arctan2(camera[:, 1], away)
     lens = traffic.camera.intrinsics
     seen = np.abs(azimuth) < np.arctan(lens.image_size_px[0] / 2 / lens.focal_px[0]) + most_turn_rad + width
-    return _Seen(frame[seen], azimuth[seen], down[seen], width[seen])
+    return _Directions(frame[seen], azimuth[seen], down[seen], width[seen])
 
 
-def _votes(seen: _Seen, vessels: _Seen, most_turn_rad: float) -> tuple[int, float, float]:
+def _votes(seen: _Directions, vessels: _Directions, most_turn_rad: float) -> tuple[int, float, float]:
     """Votes of the best cell and its turn to the side and down, in radians."""
     box, row = same_frame(seen.frame, vessels.frame)
     side = np.remainder(seen.azimuth[box] - vessels.azimuth[row] + np.pi, 2 * np.pi) - np.pi

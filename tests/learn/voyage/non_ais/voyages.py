@@ -6,7 +6,7 @@ import numpy as np
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.matches import Outcomes
 from tests.formats.labelled_files import found, images, truth
 
 WIDTH_PX, HEIGHT_PX, HORIZON_PX = 1200.0, 700.0, 200.0
@@ -62,7 +62,7 @@ def labelled_set(results, annotated, frames, rate_hz=RATE_HZ, seas=SEA):
 
 def observed(labelled, rule=IOU):
     state = np.zeros(len(labelled.images), dtype=np.int64)
-    return Observed(labelled, match(labelled, rule, 0.2), ("all",), state, 0.2, frozenset({"merges", "splits"}))
+    return Outcomes(labelled, match(labelled, rule, 0.2), ("all",), state, 0.2, frozenset({"merges", "splits"}))
 
 
 def _moved(rng, boxes):
