@@ -17,7 +17,7 @@ BOXES, IMAGES = 200_000, 40_000
 
 
 def written(folder: Path, boxes: int) -> tuple[Path, Path]:
-    """COCO files with so many annotations, seven in eight detected, and a sixth as many false detections."""
+    """COCO files with so many annotations, seven in eight detected, and a sixth as many false positives."""
     rng = np.random.default_rng(0)
     image = rng.integers(0, IMAGES, boxes)
     corner, side = rng.uniform(0, 1500, (boxes, 2)), rng.uniform(10, 200, (boxes, 2))

@@ -26,8 +26,8 @@ OF_DETECTIONS = {
     "gap_s": "gap between two sightings of a vessel, s",
     "run_s": "unbroken run of sightings of a vessel, s",
     "true_confidence": "confidence of a detection of a vessel",
-    "false_confidence": "confidence of a false detection",
-    "false_by_frame": "false detections in a frame",
+    "false_confidence": "confidence of a false positive",
+    "false_by_frame": "false positives in a frame",
 }
 OF_TRACKS = {"track_s": "length of a track, s", "false_track_s": "length of a false track, s"}
 TITLES = OF_DETECTIONS | OF_TRACKS

@@ -1,4 +1,4 @@
-"""Detections of which one part is another detector's: misses, box errors, confidence, or false detections.
+"""Detections of which one part is another detector's: misses, box errors, confidence, or false positives.
 
 Where scores differ behind two detectors, the part whose exchange closes the gap is where it comes from.
 """
@@ -14,7 +14,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import at_least_a_pixel, clip, errors_between, move, sizes
 from modsim3d.runs.tracker_view import TrackerDetections, anonymised
 
-PARTS = ("misses", "confidence", "box errors", "false detections")
+PARTS = ("misses", "confidence", "box errors", "false positives")
 EXCHANGES: tuple[frozenset[str], ...] = (
     frozenset(),
     *(frozenset({part}) for part in PARTS),

@@ -33,7 +33,7 @@ class Table:
 
     Attributes:
         names: Of the columns.
-        groups: What each column is about: the scene, misses, box errors, confidence, false detections.
+        groups: What each column is about: the scene, misses, box errors, confidence, false positives.
         values: Shape (n, k).
     """
 
@@ -91,19 +91,19 @@ def frame_features(film: Sighted) -> Table:
                 "least confidence": _extremes(film.confidence, images, count, np.fmin),
                 "greatest confidence": _extremes(film.confidence, images, count, np.fmax),
                 "change of confidence": mean(np.abs(_since(film, film.confidence))),
-                "mean confidence of false detections": mean(results.confidence[film.false], false),
+                "mean confidence of false positives": mean(results.confidence[film.false], false),
             },
-            "false detections": {
-                "false detections": np.bincount(false, minlength=count),
+            "false positives": {
+                "false positives": np.bincount(false, minlength=count),
                 "second boxes and parts": np.bincount(false[film.second], minlength=count),
                 "boxes around two vessels": np.bincount(results.image[film.around_two], minlength=count),
-                "share of false detections that go on": mean(film.goes_on, false),
-                "mean log area of false detections": mean(np.log(np.maximum(areas(film.false_boxes_px), 1)), false),
-                "mean shape of false detections": mean(_shape(film.false_boxes_px), false),
-                "mean height in the image of false detections": mean(
+                "share of false positives that go on": mean(film.goes_on, false),
+                "mean log area of false positives": mean(np.log(np.maximum(areas(film.false_boxes_px), 1)), false),
+                "mean shape of false positives": mean(_shape(film.false_boxes_px), false),
+                "mean height in the image of false positives": mean(
                     np.where(alone, centres(film.false_boxes_px)[:, 1] / height_px, np.nan), false
                 ),
-                "distance of false detections to vessels": mean(_to_nearest(film), false),
+                "distance of false positives to vessels": mean(_to_nearest(film), false),
             },
         }
     )
@@ -222,7 +222,7 @@ def _shape(boxes_px: Array) -> Array:
 
 
 def _to_nearest(film: Sighted) -> Array:
-    """Distance of each false detection's centre to the nearest vessel's, in image widths; NaN without one, (f,)."""
+    """Distance of each false positive's centre to the nearest vessel's, in image widths; NaN without one, (f,)."""
     first, vessel = pairs_of_images(film.false_image, film.image)
     apart = np.hypot(*(centres(film.false_boxes_px[first]) - centres(film.boxes_px[vessel])).T)
     width_px = film.labelled.images.sizes_px[film.false_image, 0]

@@ -32,14 +32,14 @@ _ADDED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("errors that grow with the box", ("relative", "mixed")),
     ("misses by visibility, size, distance", ("effects",)),
     ("misses and errors that persist", ("persistence",)),
-    ("places, sizes and lives of false alarms", ("sizes", "places", "lasting")),
+    ("places, sizes and lives of false positives", ("sizes", "places", "lasting")),
     (
         "confidence, merges, splits, tails",
         ("confidence", "slopes", "duplicates", "merges", "splits", "student_t"),
     ),
     ("vessels that are always harder, boxes always off to one side", ("vessels", "components")),
     ("misses as confidences that fall below the threshold", ("score",)),
-    ("false detections on vessels", ("on_vessels",)),
+    ("false positives on vessels", ("on_vessels",)),
 )
 
 

@@ -21,9 +21,9 @@ GRID_PX, CONFIDENCE_GRID = 0.5, 0.01
 """Files round boxes and confidences differently: both are rounded to these."""
 RULE = Rule("confidence")
 CONTINUES_IOU = 0.3
-"""A false detection that overlaps one of the frame before by so much goes on."""
+"""A false positive that overlaps one of the frame before by so much goes on."""
 INSIDE = 0.7
-"""A false detection with so much of its area inside a vessel's box is a part of that vessel."""
+"""A false positive with so much of its area inside a vessel's box is a part of that vessel."""
 
 
 def shown_as(truth: LabelledSet, found: TrackerDetections) -> LabelledSet:
@@ -56,7 +56,7 @@ class Sighted:
     Attributes:
         labelled: The film on the common grid; see `on_one_grid`.
         detection: Row of the detection of each annotation, −1 where missed, shape (T,).
-        false: Rows of the false detections, shape (f,).
+        false: Rows of the false positives, shape (f,).
     """
 
     labelled: LabelledSet
@@ -128,17 +128,17 @@ class Sighted:
 
     @cached_property
     def false_boxes_px(self) -> Array:
-        """Boxes of the false detections, shape (f, 4)."""
+        """Boxes of the false positives, shape (f, 4)."""
         return self.labelled.results.boxes_px[self.false]
 
     @cached_property
     def false_image(self) -> Indices:
-        """Image of each false detection, shape (f,)."""
+        """Image of each false positive, shape (f,)."""
         return self.labelled.results.image[self.false]
 
     @cached_property
     def second(self) -> Mask:
-        """Whether each false detection lies on a vessel: a second box for it or a part of it, shape (f,)."""
+        """Whether each false positive lies on a vessel: a second box for it or a part of it, shape (f,)."""
         first, vessel = pairs_of_images(self.false_image, self.image)
         ours_px, theirs_px = self.false_boxes_px[first], self.boxes_px[vessel]
         inside = intersections(ours_px, theirs_px) >= INSIDE * areas(ours_px)
@@ -156,7 +156,7 @@ class Sighted:
 
     @cached_property
     def goes_on(self) -> Mask:
-        """Whether each false detection overlaps one of the image before, shape (f,)."""
+        """Whether each false positive overlaps one of the image before, shape (f,)."""
         now, before = pairs_of_images(self.false_image, self.false_image + 1)
         again = iou(self.false_boxes_px[now], self.false_boxes_px[before]) >= CONTINUES_IOU
         return _any_of(now[again], len(self.false))

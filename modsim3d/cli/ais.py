@@ -33,7 +33,7 @@ def ais_command(
     ] = None,
     time_step_s: Annotated[float, option("SECONDS", "Time between steps.", "--time-step")] = 1.0,
     max_gap_s: Annotated[
-        float, option("SECONDS", "Time between reports beyond which a vessel is absent.", "--gap")
+        float, option("SECONDS", "Time between reports beyond which a vessel is absent.", "--report-gap")
     ] = 400.0,
     max_speed_kn: Annotated[
         float, option("KNOTS", "Drop a position that a vessel can reach only at a higher speed.", "--max-speed")

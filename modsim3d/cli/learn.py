@@ -53,8 +53,10 @@ ConfidenceOption = Annotated[
 SequenceOption = Annotated[
     Path | None, under(TIMES, "FILE", "Text file with a state on each line, in time order, for the transitions.")
 ]
-IntervalOption = Annotated[float | None, under(TIMES, "S", "Seconds between two lines of --sequence.")]
-ClutterOption = Annotated[
+TimeStepOption = Annotated[
+    float | None, under(TIMES, "SECONDS", "Time between steps of the state: lines of --sequence, or transitions.")
+]
+FalsePositivesOption = Annotated[
     Literal["auto", "calibrated", "per_image"],
     under(MODELS, "MODEL", "Model of the number of false positives: auto, calibrated or per_image."),
 ]
@@ -112,10 +114,10 @@ def learn_command(
     horizon: detect.HorizonOption = None,
     category_offset: CategoryOffsetOption = 0,
     skip_bad: detect.SkipBadOption = False,
-    clutter: ClutterOption = "auto",
+    false_positives: FalsePositivesOption = "auto",
     without: WithoutOption = None,
     sequence: SequenceOption = None,
-    interval: IntervalOption = None,
+    time_step: TimeStepOption = None,
     level: LevelOption = 0.95,
     replicates: ReplicatesOption = 300,
     seed: BootstrapSeedOption = 0,
@@ -195,10 +197,10 @@ def learn_request(context: typer.Context, **given: Any) -> LearnRequest:
         labels=detect.parsed_names(option["labels"], "--labels"),
         without=detect.parsed_names(option["without"], "--without"),
         sequence=None if sequence is None else read_text(Path(sequence), "sequence"),
-        interval_s=option["interval"],
+        interval_s=option["time_step"],
         confidence_scale=None if scale is None else detect.parsed_scale(scale),
         frame_rate_hz=option["frame_rate"],
-        clutter=str(option["clutter"]),
+        false_positives=str(option["false_positives"]),
         **{name: option[name] for name in same},
         **given,
     )
@@ -322,10 +324,10 @@ def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, 
             yield name, f"{label} missed", f"{in_percent(old, 1)} → {in_percent(new, 1)}"
         if "false_discovery_rate" in was:
             of_all = (in_percent(each["false_discovery_rate"], 1) for each in (was, now))
-            yield name, "false detections", " → ".join(of_all)
+            yield name, "false positives", " → ".join(of_all)
         else:
             key, rates = "false_positives_per_image", [each["false_positives"].get("rate") for each in (before, after)]
             old, new = (state.get(key, rate) for state, rate in zip((was, now), rates, strict=True))
-            yield name, "false detections in an image", f"{old:.3g} → {new:.3g}"
+            yield name, "false positives in an image", f"{old:.3g} → {new:.3g}"
         old, new = (with_covariance(state["box_error"])["covariance"][2][2] ** 0.5 for state in (was, now))
         yield name, "width error, standard deviation", f"{old:.3g} → {new:.3g} {'' if unit == 'relative' else 'px'}"

@@ -71,21 +71,21 @@ class PrecisionRecall:
         return np.interp(recall, self.recall, self.precision)
 
     def false_per_target(self, recall: Array) -> Array:
-        """False detections per target among the most confident that reach a recall: r·(1 − p)/p, same shape."""
+        """False positives per target among the most confident that reach a recall: r·(1 − p)/p, same shape."""
         precision = self.at(recall)
         return recall * (1 - precision) / precision
 
     def falls(self) -> tuple[float, float] | None:
-        """Two recalls between which false detections would have to vanish; None if scores can make this curve."""
+        """Two recalls between which false positives would have to vanish; None if scores can make this curve."""
         recall = np.linspace(0, self.recall[-1], CURVE_POINTS)
         falling = np.flatnonzero(np.diff(self.false_per_target(recall)) < -1e-9)
         return (float(recall[falling[0]]), float(recall[falling[0] + 1])) if len(falling) else None
 
     def scores(self, threshold: float) -> tuple[QuantileScores, QuantileScores]:
-        """Distributions of the confidence of true and of false detections that make this curve. A true one is spread
-        evenly over [threshold, 1], so the share q of the true ones is above the confidence c(q) = 1 − q·(1 −
+        """Distributions of the confidence of true detections and of false positives that make this curve. A true one is
+        spread evenly over [threshold, 1], so the share q of the true ones is above the confidence c(q) = 1 − q·(1 −
         threshold), and recall there is q times the last recall R. Precision is right if the share of false ones above
-        c(q) is F(q·R) / F(R) with F the false detections for each target."""
+        c(q) is F(q·R) / F(R) with F the false positives for each target."""
         recall = np.linspace(0, self.recall[-1], CURVE_POINTS)
         false = np.maximum.accumulate(self.false_per_target(recall))
         confidence = 1 - (1 - threshold) * recall / recall[-1]

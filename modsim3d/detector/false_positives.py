@@ -267,7 +267,7 @@ _MIN_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on th
 
 @dataclass(frozen=True)
 class VesselFalseBoxes:
-    """False detections that lie on vessels: boxes of a part, or of a vessel and what is around it."""
+    """False positives that lie on vessels: boxes of a part, or of a vessel and what is around it."""
 
     share: float  # of the vessels in the image, found or missed, that have one
     lifetime_s: float = 0.0  # time for which one stays; 0 for as long as a frame

@@ -57,12 +57,12 @@ class PerformanceState:
     false_positives_per_image: float = 0.0  # for the model of false positives that has such a rate
 
     def __repr__(self) -> str:
-        """Its name and its rate of false detections."""
+        """Its name and its rate of false positives."""
         return f"<PerformanceState {self.name}: {self.false_rate}>"
 
     @property
     def false_rate(self) -> str:
-        """Its rate of false detections in words."""
+        """Its rate of false positives in words."""
         if math.isnan(self.false_discovery_rate):
             return f"{self.false_positives_per_image:g} false positives an image"
         return f"false discovery rate {in_percent(self.false_discovery_rate, 1)}"
@@ -98,12 +98,12 @@ class DetectorModel(Result):
     operating_threshold: float | None = None
 
     def _document(self) -> Document:
-        """A table: for each state, how often each label is missed, and the share of false detections."""
+        """A table: for each state, how often each label is missed, and the share of false positives."""
         rows = [
             [state.name, *(in_percent(miss, 1) for miss in state.confusion[-1]), state.false_rate]
             for state in self.states
         ]
-        header = ["state", *(f"{label}: missed" for label in self.labels), "false detections"]
+        header = ["state", *(f"{label}: missed" for label in self.labels), "false positives"]
         words = self.in_words()
         return Document("", [Text(words)], [Table(f"Detector: {words}", header, rows, where=Where.EVERYWHERE)])
 

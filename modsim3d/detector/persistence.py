@@ -326,7 +326,7 @@ class VesselNoise:
         return np.clip(on_grid(special.ndtr(total), _UNIFORM_STEP), _UNIFORM_STEP, 1 - _UNIFORM_STEP)
 
     def on_vessel(self, lifetime_s: float, frames: CameraFrames, targets: Targets) -> Array:
-        """Uniform numbers for a false detection on each target, shape (n, 5)."""
+        """Uniform numbers for a false positive on each target, shape (n, 5)."""
         if not lifetime_s:
             return target_uniforms(self._streams, Purpose.ON_VESSEL, frames, targets)
         kept = KeptUniform(lifetime_s, Purpose.ON_VESSEL.uniforms, Purpose.ON_VESSEL, Purpose.ON_VESSEL_KEPT)

@@ -115,7 +115,7 @@ class TruthResult(Result):
             "frames": f"{counts.frames:,}",
             "annotated vessels": f"{counts.annotated:,}",
             "detected": f"{counts.detected:,}",
-            "false detections": f"{counts.false_positives:,}",
+            "false positives": f"{counts.false_positives:,}",
         }
 
     @property

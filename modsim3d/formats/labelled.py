@@ -71,7 +71,7 @@ class Results(Columns):
     probabilities: Array | None = None  # of the k labels, NaN where not given: (D, k); None if given nowhere
     origin: Indices | None = None  # row of the annotation whose one detection it is, else −1: (D,); None where unknown
     kind: Indices | None = None  # index into `detector.records.KINDS`: (D,); None where unknown
-    # Row of the smaller annotation in a merged box, or of the one that a false detection lies on, else −1: (D,); None
+    # Row of the smaller annotation in a merged box, or of the one that a false positive lies on, else −1: (D,); None
     # where unknown.
     partner: Indices | None = None
 

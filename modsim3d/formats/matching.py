@@ -83,7 +83,7 @@ class Matching:
 
     @cached_property
     def false(self) -> Indices:
-        """Rows of false detections, shape (f,)."""
+        """Rows of false positives, shape (f,)."""
         return np.flatnonzero(self.counts & (self.annotation < 0))
 
     @cached_property

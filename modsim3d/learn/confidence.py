@@ -1,4 +1,4 @@
-"""Confidence: its distribution in each state, for true and false detections."""
+"""Confidence: its distribution in each state, for true detections and false positives."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -104,7 +104,7 @@ ScoreForm = Literal["normal", "quantiles", "shared"]
 
 @dataclass(frozen=True)
 class ConfidenceForm:
-    """The distributions of confidence of true and of false detections in each state, and its slopes, None without.
+    """The distributions of confidence of true and false positives in each state, and its slopes, None without.
     `scored` says that confidence persists with the score behind misses, and has no correlation time of its own."""
 
     true: tuple[ScoreForm, ...]
@@ -164,7 +164,7 @@ class ConfidenceForm:
 
 @dataclass(frozen=True)
 class OneConfidenceForm:
-    """One normal distribution of the confidence of true and false detections in each state, if any is given."""
+    """One normal distribution of the confidence of true and false positives in each state, if any is given."""
 
     notes: tuple[str, ...] = ()
     confidence_s: float = 0.0

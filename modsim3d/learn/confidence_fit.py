@@ -37,7 +37,7 @@ class ObservedConfidences(Columns):
 
     @classmethod
     def of(cls, observed: Outcomes, kind: Kind) -> ObservedConfidences:
-        """Confidences of true or false detections."""
+        """Confidences of true detections or false positives."""
         results = observed.labelled.results
         rows = observed.detection[observed.found] if kind == "true" else observed.false
         visible, thing = np.full(len(rows), np.nan), -1 - np.arange(len(rows))

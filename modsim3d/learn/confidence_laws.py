@@ -137,7 +137,7 @@ class LearnedSlopes:
 
 @dataclass(frozen=True, eq=False)
 class LearnedConfidence:
-    """Distributions of confidence, of true and of false detections of each state, and the slopes."""
+    """Distributions of confidence, of true detections and of false positives of each state, and the slopes."""
 
     true: tuple[LearnedScores, ...]
     false: tuple[LearnedScores, ...]

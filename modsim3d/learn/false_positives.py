@@ -15,7 +15,7 @@ from modsim3d.learn.matches import FalseSightings, Outcomes
 from modsim3d.learn.persistent_false_positives import LifetimeFit, NoLifetime, find_lifetime
 from modsim3d.learn.persistent_pairs import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
 
-FALSE_NEEDED = 30  # false detections that a distribution of sizes needs
+FALSE_NEEDED = 30  # false positives that a distribution of sizes needs
 NOT_WRITTEN = "not written"  # remark on a number that is reported and does not stand in the detector file
 _ASTRAY = 0.02
 _ALMOST_ANY = 0.99
@@ -72,7 +72,7 @@ class LearnedSize:
 
 @dataclass(frozen=True, eq=False)
 class StateFalsePositives:
-    """Shares of the labels (k,), false detections over all detections, and those in an image, in one state."""
+    """Shares of the labels (k,), false positives over all detections, and those in an image, in one state."""
 
     labels: Entry
     discovery_rate: Entry
@@ -134,7 +134,7 @@ def choose_false_positives(observed: Outcomes, model: str = "auto") -> FalsePosi
     false = len(observed.false_sightings)
     sized = false >= FALSE_NEEDED and "sizes" not in observed.without
     if false < FALSE_NEEDED:
-        notes.append(f"false_positives.size: that of vessels; had {false:,} false detections, needs {FALSE_NEEDED}")
+        notes.append(f"false_positives.size: that of vessels; had {false:,} false positives, needs {FALSE_NEEDED}")
     chosen = _likelier(observed, notes) if model == "auto" else model
     lasting: LifetimeFit | NoLifetime = NoLifetime("left out")
     if "lasting" not in observed.without:
@@ -163,12 +163,12 @@ def _placing(observed: Outcomes, worth: tuple[float, float], notes: list[str]) -
         notes.append(f"{where} {uniform}; the size of some images is not known")
         return "uniform"
     if false < FALSE_NEEDED:
-        notes.append(f"{where} {uniform}; had {false:,} false detections, needs {FALSE_NEEDED}")
+        notes.append(f"{where} {uniform}; had {false:,} false positives, needs {FALSE_NEEDED}")
         return "uniform"
     if not known:
         said = "the horizon of some images is not known (--horizon)"
         if false < needed:
-            said = f"{said}, and a map needs {needed:,} false detections, had {false:,}"
+            said = f"{said}, and a map needs {needed:,} false positives, had {false:,}"
             notes.append(f"{where} {uniform}; {said}")
             return "uniform"
         notes.append(f"{where} a map; {said}")
@@ -176,7 +176,7 @@ def _placing(observed: Outcomes, worth: tuple[float, float], notes: list[str]) -
     placing, gain = PlaceFit(sightings, *worth).choose()
     deep = np.quantile(sightings.depth_px, 0.9)
     above = float((sightings.depth_px < 0).mean())
-    lie = f"{in_percent(above, 1)} of {false:,} false detections lie above the horizon"
+    lie = f"{in_percent(above, 1)} of {false:,} false positives lie above the horizon"
     lie += f", and 90 % less than {deep:.3g} px below it"
     if placing == "uniform":
         notes.append(f"{where} {uniform}; no other is clearly likelier; {lie}")
@@ -205,7 +205,7 @@ def _expected(observed: Outcomes, model: str) -> Array:
 
 
 def _likelier(observed: Outcomes, notes: list[str]) -> str:
-    """Whether the number of false detections follows that of the true ones, or is the same in every image."""
+    """Whether the number of false positives follows that of the true ones, or is the same in every image."""
     false, true = _in_images(observed, observed.false), _in_images(observed, observed.true)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):
@@ -213,7 +213,7 @@ def _likelier(observed: Outcomes, notes: list[str]) -> str:
         total, n_true, n_images = false[ours].sum(), true[ours].sum(), ours.sum()
         if total == 0:
             continue
-        # Matching may leave a few false detections where nothing else is: they do not decide it alone.
+        # Matching may leave a few false positives where nothing else is: they do not decide it alone.
         expected = total * ((1 - _ASTRAY) * (true[ours] / max(n_true, 1.0)) + _ASTRAY / n_images)
         with_true += float((false[ours] * np.log(expected)).sum())
         even += float(total * np.log(total / n_images))

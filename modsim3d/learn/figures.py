@@ -153,7 +153,7 @@ class Figures:
     mean: Rates  # over labels
     weighted: Rates  # mean over labels, weighted by annotations
     confusion: Column  # probabilities, shape (k + 1, k) (eq. 5.25)
-    false_labels: Column  # share of each label among false detections, shape (k,) (eq. 5.26)
+    false_labels: Column  # share of each label among false positives, shape (k,) (eq. 5.26)
     errors: ErrorMoments  # of the box errors in pixels (eq. 5.36 to 5.41)
     error_covariance: Column  # of the `CELLS`, in px², shape (10,)
     errors_of_labels: tuple[ErrorMoments, ...]
@@ -183,8 +183,8 @@ class Matches:
         detected, true = counts[:, :k].sum(axis=2), counts[:, :, :k].sum(axis=1)
         of_labels = Rates.of(right, detected, true, self.beta)
         any_right = counts[:, :k, :k].sum(axis=(1, 2))
-        clutter = counts[:, :k, k]
-        total = clutter.sum(axis=1, keepdims=True)
+        false = counts[:, :k, k]
+        total = false.sum(axis=1, keepdims=True)
         by_label = self._average_precision(images)
         found_in, label, errors = self._errors(images)
         moments = ErrorMoments.of(self.resampling, found_in, errors)
@@ -200,7 +200,7 @@ class Matches:
             confusion=Column(
                 ratio(counts[:, :, :k], true[:, None]), "share", np.tile(true[0], (k + 1, 1)), self.inflation
             ),
-            false_labels=Column(ratio(clutter, total), "share", np.full(k, total[0, 0])),
+            false_labels=Column(ratio(false, total), "share", np.full(k, total[0, 0])),
             errors=moments,
             error_covariance=moments.covariance(),
             errors_of_labels=tuple(

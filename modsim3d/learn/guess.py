@@ -36,7 +36,7 @@ class ConditionChange:
     false_odds: float  # ratio of the odds that a detection is false
     false_per_image: float  # ratio of the numbers of false positives per image, over the same vessels
     spread: Array  # ratios of the standard deviations of e_x, e_y, e_w, e_h, shape (4,)
-    confidence: tuple[float, float]  # differences of the log-odds of mean confidence, of true and false detections
+    confidence: tuple[float, float]  # differences of the log-odds of mean confidence, of true and false positives
 
     @classmethod
     def between(cls, before: tuple[str, DetectorModel], after: tuple[str, DetectorModel]) -> ConditionChange:
@@ -131,9 +131,9 @@ def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "
     parse_detector(content, source)
     states = {name: _state(state, change, f"{source}: states.{name}") for name, state in content["states"].items()}
     result = {**content, "states": states}
-    clutter = content.get("false_positives") or {}
-    if clutter.get("rate") is not None:
-        result["false_positives"] = {**clutter, "rate": digits(clutter["rate"] * change.false_per_image)}
+    section = content.get("false_positives") or {}
+    if section.get("rate") is not None:
+        result["false_positives"] = {**section, "rate": digits(section["rate"] * change.false_per_image)}
     parse_detector(result, f"{source}, changed")
     return result
 
@@ -147,7 +147,7 @@ def _check_condition(name: str, model: DetectorModel) -> None:
         "probability of a miss": state.confusion[-1, 0],
         "false_discovery_rate": state.false_discovery_rate,
         "mean confidence of true detections": _mean(state.confidence.true),
-        "mean confidence of false detections": _mean(state.confidence.false),
+        "mean confidence of false positives": _mean(state.confidence.false),
     }
     problems = [
         f"its {what} is {value:g}: a ratio needs one between 0 and 1"
@@ -188,7 +188,7 @@ def _box_error(section: Mapping[str, Any], spread: Array) -> dict[str, Any]:
 
 
 def _confidence(section: Mapping[str, Any], shift: tuple[float, float], where: str) -> dict[Any, Any]:
-    """A section of confidence, shifted; `shift` is that of true and of false detections."""
+    """A section of confidence, shifted; `shift` is that of true detections and of false positives."""
     if section.get("precision_recall") is not None:
         problem = "a precision-recall curve cannot be shifted: give mean and std, or true and false"
         raise InputError(where, [f"confidence: {problem}"])

@@ -29,7 +29,7 @@ _MOST = 0.5
 
 def gate_warning(labelled: LabelledSet, matched: Matching, rule: Rule) -> str | None:
     """Warning, with figures, if the rule does not match most of what could be a match: detections known to be of a
-    vessel that it does not let match that; elsewhere missed annotations that a false detection overlaps. Else None."""
+    vessel that it does not let match that; elsewhere missed annotations that a false positive overlaps. Else None."""
     if rule.method == "provenance" or not matched.sought.any():
         return None
     recall = f"recall {len(matched.pairs[0]) / np.count_nonzero(matched.sought):.3f}"
@@ -40,7 +40,7 @@ def gate_warning(labelled: LabelledSet, matched: Matching, rule: Rule) -> str | 
     if near <= _MOST * (near + found):
         return None
     return (
-        f"{near:,} of {np.count_nonzero(missed):,} missed annotations overlap a false detection, and only {found:,} "
+        f"{near:,} of {np.count_nonzero(missed):,} missed annotations overlap a false positive, and only {found:,} "
         f"detections match: if those boxes are meant for each other, {recall} counts them as missed. Use --match "
         "centre:PX with a distance that is large against the errors of the boxes"
     )
@@ -234,7 +234,7 @@ def _near_gate(observed: Outcomes, rule: Rule) -> NearGate:
 
 
 Method = Literal["confidence", "optimal", "centre", "provenance"]
-Clutter = Literal["auto", "calibrated", "per_image"]
+NumberModel = Literal["auto", "calibrated", "per_image"]
 
 
 class LearnRequest(Strict):
@@ -251,7 +251,7 @@ class LearnRequest(Strict):
     most_distance_px: Positive = 50.0
     confidence: Probability | None = None
     confidence_scale: tuple[Number, Number] | None = None
-    clutter: Clutter = "auto"  # model of the number of false positives
+    false_positives: NumberModel = "auto"  # model of the number of false positives
     replicates: Annotated[int, Field(strict=True, ge=20)] = 300
     seed: Count = 0
     level: Annotated[float, Field(ge=0.5, le=0.9999)] = 0.95  # of the confidence intervals
@@ -303,7 +303,7 @@ class LearnRequest(Strict):
             least_confidence(labelled, self.confidence),
             self.replicates,
             self.seed,
-            self.clutter,
+            self.false_positives,
             left_out(self.without, f"{self.caller}: without"),
         )
 

@@ -37,8 +37,8 @@ RICHER = (
 """Parts beside the plain model, which learning can be told to leave out. Box errors that grow with the box, or partly
 do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; one score behind misses
 and confidence; the share that each vessel keeps; a memory of each component of box errors; sizes and places of false
-positives, and how long they last; confidence of true and false detections apart; its slopes; duplicates, merges and
-splits; false positives on vessels."""
+positives, and how long they last; confidence of true detections and false positives apart; its slopes; duplicates,
+merges and splits; false positives on vessels."""
 
 
 class LearnedPart(Protocol):
@@ -87,7 +87,7 @@ class LearnSettings:
     threshold: float = 0.2  # least confidence of a detection that counts
     replicates: int = 300  # of the bootstrap
     seed: int = 0  # of all random numbers
-    clutter: str = "auto"  # `calibrated` or `per_image` number of false positives; `auto` for the likelier one
+    false_positives: str = "auto"  # `calibrated` or `per_image` number of false positives; `auto` for the likelier one
     without: frozenset[str] = frozenset()  # of `learned.RICHER`, left out whatever the data carry
 
 
@@ -117,15 +117,15 @@ class DetectorForm:
         )
 
 
-def choose_form(observed: Outcomes, clutter: str = "auto") -> DetectorForm:
-    """The models that the data can carry; see `LearnSettings` for the clutter."""
+def choose_form(observed: Outcomes, model: str = "auto") -> DetectorForm:
+    """The models that the data can carry; `model` is that of the number of false positives."""
     multiple_boxes = choose_multiple_boxes(observed)
-    if clutter == "auto" and (why := why_no_room(observed)):
-        clutter, multiple_boxes = "per_image", replace(multiple_boxes, notes=(*multiple_boxes.notes, why))
-    if clutter == "auto" and "on_vessels" in observed.kinds.trials:
-        clutter = "per_image"  # those on vessels have a model of their own, and the others are the same in every image
+    if model == "auto" and (why := why_no_room(observed)):
+        model, multiple_boxes = "per_image", replace(multiple_boxes, notes=(*multiple_boxes.notes, why))
+    if model == "auto" and "on_vessels" in observed.kinds.trials:
+        model = "per_image"  # those on vessels have a model of their own, and the others are the same in every image
     classes, box_errors = choose_classes(observed), choose_box_errors(observed)
-    false_positives, confidence = choose_false_positives(observed, clutter), choose_confidence(observed, classes.scored)
+    false_positives, confidence = choose_false_positives(observed, model), choose_confidence(observed, classes.scored)
     return DetectorForm(classes, box_errors, false_positives, confidence, multiple_boxes)
 
 
@@ -201,7 +201,7 @@ def learn(observed: Outcomes, transitions: Transitions, settings: LearnSettings)
     """Learn a detector from data that were matched by the rule and at the threshold of the settings. Raises InputError
     if there are too many classes for the memory."""
     check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
-    form, images = choose_form(observed, settings.clutter), observed.labelled.images
+    form, images = choose_form(observed, settings.false_positives), observed.labelled.images
     run_s = _run_s(observed, form)
     resampling = bootstrap.resample(images, settings.replicates, settings.seed, run_s)
     state = observed.image_state
@@ -212,7 +212,7 @@ def learn(observed: Outcomes, transitions: Transitions, settings: LearnSettings)
     return Estimates(observed, form, numbers, transitions, resampling, run_s, units)
 
 
-_MAX_LOST = 0.01  # share of false detections that may be boxes of vessels that failed the matching
+_MAX_LOST = 0.01  # share of false positives that may be boxes of vessels that failed the matching
 NEAR_THE_GATE = 0.1  # of IoU: about as many matches pass by less as boxes fail
 
 
@@ -220,7 +220,7 @@ def unknown_numbers(observed: Outcomes, numbers: LearnedDetector) -> dict[tuple[
     """Numbers whose intervals would hold the truth too rarely, by state and beginning of their keys, with why."""
     unknown: dict[tuple[str | None, str], str] = {}
     of_state = observed.image_state[observed.labelled.results.image[observed.false]]
-    matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false detections
+    matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false positives
     near, failed = barely_matched(observed), 0.0
     for index, used in enumerate(numbers.box_errors.used):
         false = int(np.count_nonzero(of_state == index))
@@ -230,13 +230,13 @@ def unknown_numbers(observed: Outcomes, numbers: LearnedDetector) -> dict[tuple[
             why = "so many boxes fail the matching, or were drawn anew, that errors may spread farther"
             unknown[used.state, "box_error"] = why
         elif matched and lost > _MAX_LOST * max(false, 1):
-            why = f"some {lost:.0f} of {false:,} false detections are boxes that failed the matching"
+            why = f"some {lost:.0f} of {false:,} false positives are boxes that failed the matching"
             unknown[used.state, "confidence.false"] = why
     if matched and numbers.multiple_boxes.on_vessels is not None:
         why = "of a vessel's boxes, matching takes the one that fits best, whichever was drawn for it"
         unknown |= {(None, f"false_positives.on_vessels.{key}"): why for key in ("lifetime_s", "mean", "std")}
     if matched and failed > _MAX_LOST * max(len(observed.false), 1):
-        why = f"some {failed:.0f} of {len(observed.false):,} false detections are boxes that failed the matching"
+        why = f"some {failed:.0f} of {len(observed.false):,} false positives are boxes that failed the matching"
         unknown[None, "false_positives.size"] = why
     elif matched and numbers.multiple_boxes.shares:
         unknown[None, "false_positives.size"] = "second boxes, parts and merges are told from others by how they look"

@@ -21,7 +21,7 @@ from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import inputs_noted, read_text
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.learn import learn_detector as labelled_sets
-from modsim3d.learn.learn_detector import Clutter, LearnRequest, Method, parse_states
+from modsim3d.learn.learn_detector import LearnRequest, Method, NumberModel, parse_states
 from modsim3d.learn.learned_detector import uncertainty_file, uncertainty_text
 from modsim3d.learn.report import LearnReport, lead
 from modsim3d.learn.report_page import Sources, document, page_text
@@ -189,7 +189,7 @@ def learn_detector(
     seed: int = 0,
     level: float = 0.95,
     beta: float = 2.0,
-    clutter: Clutter = "auto",
+    false_positives: NumberModel = "auto",
     without: Sequence[str] = (),
     labels: Sequence[str] = (),
     image_size_px: tuple[float, float] | None = None,
@@ -219,7 +219,7 @@ def learn_detector(
         confidence: Least confidence of a detection that counts; 0.2 if None. Without confidences all count.
         replicates, seed, level: Number of replicates of the bootstrap, its seed, and confidence level of the intervals.
         beta: How many times more recall weighs than precision in F-beta.
-        clutter: Model of the number of false positives: `auto`, `calibrated` or `per_image`.
+        false_positives: Model of the number of false positives: `auto`, `calibrated` or `per_image`.
         without: Models to leave out, whatever the data carry; docs/learn.md has their names.
         labels: Names of the classes, for MOT and YOLO; types of KITTI.
         image_size_px, frame_rate_hz, first_frame, horizon, confidence_scale, skip_bad: As those of `detect_truth`.

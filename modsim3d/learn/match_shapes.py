@@ -3,7 +3,7 @@ Files do not say what a detection is. These rules read it from the boxes, in thi
 side on an annotation, of which one may be its match, that together fit it better than either does, with an IoU of at
 least `MIN_FIT`; the larger part detects it. One box around two: a box fits the box around two annotations that overlap
 better than either of the two, with at least that IoU, and no other detection matches either of them. A second box: a
-false detection that the matching rule would let match an annotation which has a match already. A false positive that
+false positive that the matching rule would let match an annotation which has a match already. A false positive that
 lies on a vessel by chance looks like one of these as well: `match_types` counts how many do."""
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SoughtBoxes(Columns):
 
 @dataclass(frozen=True, eq=False)
 class FalseBoxes(Columns):
-    """False detections, ordered by image: row in the results (f,), image (f,) and box (f, 4)."""
+    """False positives, ordered by image: row in the results (f,), image (f,) and box (f, 4)."""
 
     row: Indices
     image: Indices
@@ -142,7 +142,7 @@ def second_boxes(sought: SoughtBoxes, loose: FalseBoxes, single: Mask, rule: Rul
 
 
 def on_vessels(sought: SoughtBoxes, loose: FalseBoxes) -> tuple[Indices, Indices]:
-    """Places of annotations (n,) on which a false detection lies, and of these, (k,): each is of what shares most of
+    """Places of annotations (n,) on which a false positive lies, and of these, (k,): each is of what shares most of
     it, and each annotation has one."""
     first, place = loose.pairs(sought)
     box_px = loose.boxes_px[first]
@@ -259,7 +259,7 @@ def vessel_trials(
 
 
 def on_vessel_trials(sought: SoughtBoxes, rows: Indices, hit: Indices, chance: Array) -> Trials:
-    """Trials of all annotations (n,), on some of which a false detection lies; `rows` are those of the annotations."""
+    """Trials of all annotations (n,), on some of which a false positive lies; `rows` are those of the annotations."""
     trials = vessel_trials(sought, np.ones(len(sought), dtype=bool), hit, chance)
     return replace(trials, vessels=np.column_stack([rows, rows]))
 

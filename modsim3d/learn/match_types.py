@@ -71,13 +71,13 @@ class Recognition:
         return cls(mistaken, share_that_fits(pairs.union_px))
 
 
-# ---- False detections put into other frames ----
+# ---- False positives put into other frames ----
 
 SHUFFLES = 8  # how often they are put elsewhere
 
 
 def shuffled(loose: FalseBoxes, images: Images) -> Iterator[FalseBoxes]:
-    """False detections in other frames of the same state; every other time moved across the image as well."""
+    """False positives in other frames of the same state; every other time moved across the image as well."""
     sequence = np.where(np.isfinite(images.time_s), images.sequence, -1)
     sizes_px = np.nan_to_num(images.sizes_px, nan=-1.0).astype(np.int64)
     keys = np.column_stack([images.condition, images.source, sequence, sizes_px])
@@ -124,7 +124,7 @@ class MatchTypes:
 
     doubled: Indices  # second boxes, shape (d,)
     copies: bool  # whether second boxes fit their vessels about as well as the first ones do
-    on_vessels: VesselBoxes  # false detections on vessels; second boxes among them unless those are copies
+    on_vessels: VesselBoxes  # false positives on vessels; second boxes among them unless those are copies
     split: Indices  # annotations in two parts, and the larger parts, shape (2, k)
     fragments: Indices  # the smaller parts, shape (f,)
     perhaps_parts: Indices  # matches of other annotations that look like parts of one with no whole box, shape (q,)
@@ -136,7 +136,7 @@ class MatchTypes:
 
 @dataclass(frozen=True, eq=False)
 class VesselBoxes:
-    """Annotations and a false detection on each, as rows; shapes (k,)."""
+    """Annotations and a false positive on each, as rows; shapes (k,)."""
 
     vessel: Indices
     box: Indices
@@ -332,7 +332,7 @@ def _unordered(a: Indices, b: Indices, number: int) -> Indices:
 NAMES = ("on_vessels", "duplicates", "merges", "splits")
 """The keys of the detector file, in its order."""
 _WHAT = {
-    "on_vessels": ("false detection on a vessel", "false detections on vessels"),
+    "on_vessels": ("false positive on a vessel", "false positives on vessels"),
     "duplicates": ("second box", "second boxes"),
     "merges": ("box around two vessels", "boxes around two vessels"),
     "splits": ("vessel in two parts", "vessels in two parts"),
@@ -352,9 +352,9 @@ class BoxTypes:
     detection: Indices  # row of the result that detects each annotation, −1 where none does, shape (T,)
     in_merged_box: Mask  # whether an annotation is in the box of another one, shape (T,)
     ambiguous: Mask  # whether an annotation is or may be in another's box, so that nobody knows a miss, shape (T,)
-    false: Indices  # rows of false detections, second boxes and smaller parts included, shape (f,)
+    false: Indices  # rows of false positives, second boxes and smaller parts included, shape (f,)
     false_positives: Indices  # rows of those that are neither, and not on vessels, shape (g,)
-    on_vessels: VesselBoxes  # annotations with a false detection on them, if such are shown
+    on_vessels: VesselBoxes  # annotations with a false positive on them, if such are shown
     one_vessel: Mask  # whether a detection is surely one whole box of one vessel if it detects one, shape (D,)
     thresholds: dict[str, float]  # of each kind that is shown and has one
     trials: dict[str, Trials]  # of the kinds that are shown, above their threshold

@@ -230,12 +230,12 @@ class Outcomes:
 
     @cached_property
     def false(self) -> Indices:
-        """Rows of the results that are false detections, second boxes and parts of vessels included, shape (f,)."""
+        """Rows of the results that are false positives, second boxes and parts of vessels included, shape (f,)."""
         return self.kinds.false
 
     @cached_property
     def false_positives(self) -> Indices:
-        """Rows of the false detections that are neither a second box nor a part of a vessel, shape (g,)."""
+        """Rows of the false positives that are neither a second box nor a part of a vessel, shape (g,)."""
         return self.kinds.false_positives
 
     @cached_property
@@ -355,7 +355,7 @@ class FalseSightings(Columns):
 
     @classmethod
     def of(cls, observed: Outcomes) -> FalseSightings:
-        """False detections of a labelled set."""
+        """False positives of a labelled set."""
         results, images = observed.labelled.results, observed.labelled.images
         rows = observed.false_positives
         image = results.image[rows]

@@ -21,7 +21,7 @@ from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, in
 
 @dataclass(frozen=True, eq=False)
 class ConsecutiveTrials:
-    """Pairs that could have been merged, or vessels with a possible false detection, and which follow each other."""
+    """Pairs that could have been merged, or vessels with a possible false positive, and which follow each other."""
 
     trials: Trials
     steps: Steps
@@ -62,7 +62,7 @@ def _identities(labelled: LabelledSet, vessels: Indices) -> Indices:
 
 
 _NO_ROOM = (
-    "false_positives: per_image, for a rate of false detections that counts second boxes and parts of vessels must be "
+    "false_positives: per_image, for a rate of false positives that counts second boxes and parts of vessels must be "
     "at least what these would make if every vessel were long"
 )
 _EXTRA = ("duplicates", "splits")
@@ -72,7 +72,7 @@ _MARGIN = 1e-4  # more than what the digits in the file can change
 @dataclass(frozen=True)
 class MultipleBoxForm:
     """Types among `match_types.NAMES` that the data show, with thresholds or None, and rough correlation times of
-    merges and of false detections on vessels, 0 if they do not persist, the latter None if none lie there."""
+    merges and of false positives on vessels, 0 if they do not persist, the latter None if none lie there."""
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
@@ -98,12 +98,12 @@ class MultipleBoxForm:
 
 
 PLACE = ("across", "down", "log width", "log height")
-"""Where a false detection lies on its vessel: centre in the vessel's sides, logarithms of the ratios of sides."""
+"""Where a false positive lies on its vessel: centre in the vessel's sides, logarithms of the ratios of sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedOnVessels:
-    """False detections on vessels: share of vessels that have one, lifetime (None for a frame), place and size (4,)."""
+    """False positives on vessels: share of vessels that have one, lifetime (None for a frame), place and size (4,)."""
 
     share: Entry
     lifetime_s: Entry | None
@@ -201,7 +201,7 @@ def _lasting_s(observed: Outcomes, name: str, key: str, notes: list[str]) -> flo
 
 
 def why_no_room(observed: Outcomes) -> str:
-    """Note if a state has fewer false detections than second boxes and parts alone may make, with every vessel long,
+    """Note if a state has fewer false positives than second boxes and parts alone may make, with every vessel long,
     see `detector.file.agreement`; else empty."""
     sums = [(t.hits.sum(), t.weight.sum()) for name, t in observed.kinds.trials.items() if name in _EXTRA]
     extra = sum(float(np.clip(hits / weight, 0, 1)) for hits, weight in sums if weight > 0)

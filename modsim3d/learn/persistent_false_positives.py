@@ -239,14 +239,14 @@ def find_lifetime(observed: Outcomes, expected: Array, known: bool = False) -> L
     if ordered is None:
         return NoLifetime("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
     if not len(sightings):
-        return NoLifetime("there are no false detections")
+        return NoLifetime("there are no false positives")
     lags = list(lags_of(ordered, sightings, ordered.span_s / 2))
     if not lags:
         return NoLifetime(_NONE)
     far = far_pairs(observed, ordered, sightings)
     at_rest = _count(observed, expected, lags, far, 0.0)
     if not known and not at_rest.beyond_chance(far):
-        near = f"{at_rest.found[:, 0].sum():,.0f} false detections have another near their place in the next frame"
+        near = f"{at_rest.found[:, 0].sum():,.0f} false positives have another near their place in the next frame"
         return NoLifetime(f"{near}, and {at_rest.chance[:, 0].sum():,.3g} would by chance")
     drift = DriftSpeeds.of(sightings, observed.labelled.images.time_s, lags[0])
     counted = _count(observed, expected, lags, far, drift.rough_px_s)

@@ -138,7 +138,7 @@ def _row_pairs(image: Indices, first: Indices, second: Indices) -> Indices:
 
 # ---- Where false positives lie ----
 
-GRID = (3, 4)  # rows and columns of the map of where false detections are
+GRID = (3, 4)  # rows and columns of the map of where false positives are
 FALSE_FOR_EACH_CELL = 10
 Placing = Literal["uniform", "horizon_band", "far_half_px", "density"]  # `far_half_px`: uniform, thinner far below
 _ASTRAY = 0.02

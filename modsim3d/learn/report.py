@@ -45,7 +45,7 @@ class NearGate:
 
     @property
     def _meaning(self) -> str:
-        return f"larger errors were cut off, and count as a miss and a false detection each ({self.other})"
+        return f"larger errors were cut off, and count as a miss and a false positive each ({self.other})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ def how_well(report: LearnReport) -> str:
     where = " in the state where they are known least" if len(states) > 1 else ""
     return (
         f"With {in_percent(report.level)} confidence its share of misses is known to within ±{100 * missed:.2g} "
-        f"percentage points, its share of false detections to within ±{100 * false:.2g}, and the spread of its "
+        f"percentage points, its share of false positives to within ±{100 * false:.2g}, and the spread of its "
         f"box errors to within ±{100 * spread:.2g} %{where}."
     )
 

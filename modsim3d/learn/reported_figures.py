@@ -170,7 +170,7 @@ def _cells(report: Report, source: str, assumed: list[str], contradictions: list
             contradictions.append("precision is higher than confusions of labels allow: nothing else is false")
         if not false.sum():
             false = np.maximum(each, 0) if by_label and each.max() > 0 else share
-            assumed += ["Labels of false detections follow precision and annotations."] if k > 1 else []
+            assumed += ["Labels of false positives follow precision and annotations."] if k > 1 else []
         false = false / false.sum() * max(total, 0)
     per_image = None if numbers is None or report.images is None else float(numbers.sum()) / report.images
     return np.column_stack([true, [*false, 0]]), per_image
@@ -250,7 +250,7 @@ class Sample:
 ASSUMED = (
     "Misses, boxes and confidences are new in each frame, which a real detector's are not: see persistence.",
     "Each edge of a box is off by itself, in proportion to the box, and by 0 on average.",
-    "False detections lie anywhere below the horizon, are as large as vessels, and last one frame.",
+    "False positives lie anywhere below the horizon, are as large as vessels, and last one frame.",
 )
 
 

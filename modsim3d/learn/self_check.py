@@ -115,7 +115,7 @@ def self_check(learned: Estimates, settings: LearnSettings, seeds: int) -> tuple
 
 def _models_of(seen: Outcomes, learned: Estimates, settings: LearnSettings, seeds: int) -> Iterator[DetectorModel]:
     """Detectors learned from one half: replicates of its numbers, the estimate where one is no detector."""
-    form = choose_form(seen, settings.clutter)
+    form = choose_form(seen, settings.false_positives)
     numbers = form.estimate(seen, resample(seen.labelled.images, seeds, settings.seed, learned.run_s))
 
     def model_of(row: int) -> DetectorModel:
@@ -266,7 +266,7 @@ def _of_time(observed: Outcomes, found: Mask) -> Counts:
 
 
 def _of_false(observed: Outcomes) -> Counts:
-    """False detections of an image, and the share of them that lies on a vessel."""
+    """False positives of an image, and the share of them that lies on a vessel."""
     results, annotations = observed.labelled.results, observed.labelled.annotations
     images, false = np.flatnonzero(observed.image_state >= 0), observed.false
     false = false[np.argsort(results.image[false], kind="stable")]
@@ -277,8 +277,8 @@ def _of_false(observed: Outcomes) -> Counts:
         on_vessel[first[near]] = True
     number = np.bincount(results.image[false], minlength=len(observed.image_state))[images]
     return {
-        "false detections an image": _mean(number.astype(np.float64)),
-        "share of false detections on a vessel": _mean(on_vessel),
+        "false positives an image": _mean(number.astype(np.float64)),
+        "share of false positives on a vessel": _mean(on_vessel),
     }
 
 

@@ -76,7 +76,7 @@ class RunResult(Result):
             "frames": f"{counts.frames:,}",
             "annotated vessels": f"{counts.annotated:,}",
             "detected": f"{counts.detected:,}",
-            "false detections": f"{counts.false_positives:,}",
+            "false positives": f"{counts.false_positives:,}",
             "time": f"{self.seconds:.1f} s",
         }
 

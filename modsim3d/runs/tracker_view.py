@@ -15,7 +15,7 @@ from modsim3d.runs.files.run_file import frame_lines, number_texts
 from modsim3d.scene.scene import Scene
 
 BOX_DECIMALS = 3  # of a box's edges in pixels: the last bits of exact edges tell true detections from false ones
-_CONFIDENCE_DECIMALS = 6  # the last bits of exact ones tell some false detections from true ones, which more goes into
+_CONFIDENCE_DECIMALS = 6  # the last bits of exact ones tell some false positives from true ones, which more goes into
 
 
 @dataclass(frozen=True, eq=False)

@@ -213,7 +213,7 @@ class ScoredDetections(Columns):
     """Detections of a state with their confidence and what it may depend on; shapes (n,). `hidden` is the share of the
     vessel that is hidden, 0 where there is none; `halvings` says how often the reference size must be halved to give
     that of the box. Confidence persists among equal rows of `tracks`, shape (n, 2), which are those of a vessel in a
-    camera or of a single false detection, at `times_s`."""
+    camera or of a single false positive, at `times_s`."""
 
     scores: Array
     hidden: Array
@@ -223,7 +223,7 @@ class ScoredDetections(Columns):
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    """The confidence of every state, true and false detections together where the file has one law for both."""
+    """The confidence of every state, true and false positives together where the file has one law for both."""
     note = unknown_rest_note(model, evidence)
     threshold = model.confidence_threshold
     parameters = []
@@ -243,7 +243,7 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         persistence = None if note else score_persistence(model, evidence)
         about = note or correlation_note(persistence)
         parameters.append(Parameter("persistence.confidence_s", DetectorPart.CONFIDENCE, persistence, note=about))
-    every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
+    every = np.concatenate([evidence.true_detections.confidence, evidence.false_positives.confidence])
     asked = model.operating_threshold
     least, key = (threshold, "confidence_threshold") if asked is None else (asked, "operating_threshold")
     outside = int(((every < least) | (every > 1)).sum())
@@ -251,8 +251,8 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
 
 
 def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDetections, ScoredDetections]:
-    """True and false detections of a state, in the order in which the evidence has them."""
-    true, false, instances = evidence.true_detections, evidence.false_detections, evidence.instances
+    """True and false positives of a state, in the order in which the evidence has them."""
+    true, false, instances = evidence.true_detections, evidence.false_positives, evidence.instances
     seen = np.append(instances.visible_fraction, np.nan)  # the last for instance −1: no vessel
 
     def of_rows(found: TrueDetections | FalsePositiveRows, ours: Mask) -> ScoredDetections:

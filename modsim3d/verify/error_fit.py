@@ -291,7 +291,7 @@ def capped_poisson(means: Array, caps: Indices) -> tuple[Array, Array, Array]:
 
 def n_transient(evidence: Evidence) -> Indices:
     """Number of false positives of each image that are no second boxes and do not persist, shape (s,)."""
-    false = evidence.false_detections
+    false = evidence.false_positives
     return np.bincount(false.frame_row[false.kind == FALSE_POSITIVE], minlength=len(evidence.frames.state))
 
 
@@ -300,7 +300,7 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     note = unknown_rest_note(model, evidence)
     if note:
         return none_of(Draw.CONFIDENCE, note)
-    rng, true, false = np.random.default_rng(0), evidence.true_detections, evidence.false_detections
+    rng, true, false = np.random.default_rng(0), evidence.true_detections, evidence.false_positives
     parts: list[tuple[Indices, Indices, Array]] = []
     for s, state in enumerate(model.states):
         law = state.confidence

@@ -79,7 +79,7 @@ class FalsePositiveRows:
 
 @dataclass(frozen=True, eq=False)
 class FrameTable:
-    """The frames of all cameras in order of camera and time, with their true and false detections; shapes (s,)."""
+    """The frames of all cameras in order of camera and time, with true detections and false positives; shapes (s,)."""
 
     camera: Indices
     time_s: Array
@@ -97,7 +97,7 @@ class Evidence:
     frames: FrameTable
     instances: Instances
     true_detections: TrueDetections
-    false_detections: FalsePositiveRows
+    false_positives: FalsePositiveRows
 
     @classmethod
     def of(cls, cameras: Sequence[CameraEvidence]) -> Evidence:

@@ -254,7 +254,7 @@ class ImageRateCheck:
 
     @staticmethod
     def _measure(seen: FalsePositiveEvidence, s: int) -> ImageRate | None:
-        ours, expected, false = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_detections
+        ours, expected, false = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_positives
         found = int(np.isin(false.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[false.state == s].sum())
         images = float(expected.due[ours].sum())
         if not images:
@@ -274,7 +274,7 @@ RATE_CHECKS: Mapping[str, RateCheck] = {
 
 def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
     """Rows of true detections that may be doubled or split, and whether they are long enough, shapes (k,)."""
-    true_detections, false = evidence.true_detections, evidence.false_detections
+    true_detections, false = evidence.true_detections, evidence.false_positives
     single = np.flatnonzero((true_detections.kind == records.TRUE) | (true_detections.kind == records.SPLIT))
     instances = true_detections.instance[single]
     placed = sizes(true_detections.boxes_px[single])[:, 0]
@@ -322,7 +322,7 @@ def false_positive_checks(model: DetectorModel, evidence: Evidence) -> list[Para
 
 def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Parameter]:
     """The labels of transient ones: a persistent one keeps its label, so only the others are independent."""
-    state, false = model.states[s], evidence.false_detections
+    state, false = model.states[s], evidence.false_positives
     if len(model.labels) < 2:
         return []
     found = false.label[(false.state == s) & (false.kind == records.FALSE_POSITIVE)]
@@ -341,7 +341,7 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
 
 
 def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
-    rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
+    rule, kinds = seen.model.merges_and_splits, seen.evidence.false_positives.kind
     if rule == MergesAndSplits() and not np.isin(kinds, (records.DUPLICATE, records.FRAGMENT)).any():
         return []
     single, long = second_box_candidates(seen.model, seen.evidence)
@@ -353,12 +353,12 @@ def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     return parameters
 
 
-_SAMPLED = 20_000  # vessels of which it is drawn how often a false detection on one lies in the image
+_SAMPLED = 20_000  # vessels of which it is drawn how often a false positive on one lies in the image
 
 
 def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
-    """Share, stay and place of false detections on vessels; what the image's edge leaves out and cuts is drawn anew."""
-    law, false = seen.model.false_positives.on_vessels, seen.evidence.false_detections
+    """Share, stay and place of false positives on vessels; what the image's edge leaves out and cuts is drawn anew."""
+    law, false = seen.model.false_positives.on_vessels, seen.evidence.false_positives
     name, lying = "false_positives.on_vessels", np.flatnonzero(false.kind == records.ON_VESSEL)
     if law is None:
         measure = Exact(len(lying), len(false.kind))
@@ -409,7 +409,7 @@ def _place_on(vessels_px: Array, boxes_px: Array) -> Array:
 
 
 def _drawn_on(law: VesselFalseBoxes, instances: Instances, rows: Indices, rng: np.random.Generator) -> Array:
-    """Places of false detections that are drawn on vessels, as the image shows them, shape (at most m, 4)."""
+    """Places of false positives that are drawn on vessels, as the image shows them, shape (at most m, 4)."""
     uniforms = rng.random((len(rows), 5))
     uniforms[:, 0] = 0.0  # on each of them
     boxes, there = law.boxes_px(instances.boxes_px[rows], instances.image_px[rows], uniforms)
@@ -433,7 +433,7 @@ def _merge_check(seen: FalsePositiveEvidence) -> Parameter:
 
 def _persistent_share_check(seen: FalsePositiveEvidence) -> Parameter:
     name, share = "false_positives.persistence.share", seen.model.false_positives.persistent_share
-    kinds, expected = seen.evidence.false_detections.kind, seen.expected
+    kinds, expected = seen.evidence.false_positives.kind, seen.expected
     persistent, transient = int((kinds == records.PERSISTENT).sum()), int((kinds == records.FALSE_POSITIVE).sum())
     if not share:
         return Parameter(name, DetectorPart.FALSE_POSITIVES, Exact(persistent, len(kinds)))

@@ -181,7 +181,7 @@ def miss_lengths(model: DetectorModel, evidence: Evidence) -> str:
 
 def reliability(evidence: Evidence) -> str:
     """The share of true detections at each confidence."""
-    true, false = evidence.true_detections.confidence, evidence.false_detections.confidence
+    true, false = evidence.true_detections.confidence, evidence.false_positives.confidence
     edges = np.linspace(0, 1, _BINS + 1)
     n_true, _ = np.histogram(true, edges)
     n_all = n_true + np.histogram(false, edges)[0]

@@ -153,7 +153,7 @@ def write_report(verified: VerifiedRun, folder: StrPath, command: str | None = N
 def document(verified: VerifiedRun) -> Document:
     """The verdicts, to be read."""
     verification, model, evidence = verified.verification, verified.model, verified.evidence
-    found, false = evidence.true_detections, evidence.false_detections
+    found, false = evidence.true_detections, evidence.false_positives
     tested = [verdict for verdict in verification.verdicts if verdict.measured is not None and not verdict.fails]
     about = (
         f"{verified.run.steps:,} steps, {len(evidence.instances.state):,} chances to detect a vessel, "

@@ -42,7 +42,7 @@ FUNCTIONS = {
 OTHER_NAMES = {
     "runs": "run",
     "condition": "conditions",
-    "interval": "interval_s",
+    "time_step": "interval_s",
     "image_size": "image_size_px",
     "frame_rate": "frame_rate_hz",
     "no_check": "check",

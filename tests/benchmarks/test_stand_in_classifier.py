@@ -106,10 +106,10 @@ def test_a_frame_tells_false_detections_by_what_they_lie_on():
     boxes = np.stack([boxes_px[0], part, at_sea, at_sea + 4, both])
     rows = replace(film, results=found(image, 0 * image, boxes, [0.9, 0.5, 0.4, 0.4, 0.6]))
     table = frame_features(Sighted.of(rows, 0.25))
-    assert column(table, "false detections")[:3].tolist() == [2, 2, 0]
+    assert column(table, "false positives")[:3].tolist() == [2, 2, 0]
     assert column(table, "second boxes and parts")[:3].tolist() == [1, 0, 0]
     assert column(table, "boxes around two vessels")[:3].tolist() == [0, 1, 0]
-    assert column(table, "share of false detections that go on")[:2].tolist() == [0, 0.5]
+    assert column(table, "share of false positives that go on")[:2].tolist() == [0, 0.5]
     assert column(table, "share of vessels detected")[:2].tolist() == pytest.approx([1 / 4, 0])
     assert column(table, "share newly missed")[1] == 1
 

@@ -152,7 +152,7 @@ def test_exchanged_parts_are_those_of_the_other_detector(film: Film) -> None:
     both = usual.found & strange.found & made.found
     np.testing.assert_allclose(made.errors[both], usual.errors[both], atol=1e-3)
     unknown = replace(usual, known=np.zeros(len(usual.known), dtype=bool))  # all of it was missed: the other's values
-    made = Parts.of(opened, exchanged(opened, unknown, strange, frozenset({"misses", "false detections"})))
+    made = Parts.of(opened, exchanged(opened, unknown, strange, frozenset({"misses", "false positives"})))
     np.testing.assert_allclose(made.confidence[made.found], strange.confidence[made.found], atol=1e-6)
     np.testing.assert_allclose(made.errors[made.found], strange.errors[made.found], atol=1e-3)
 

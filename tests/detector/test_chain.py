@@ -131,13 +131,13 @@ def test_rows_are_ordered_by_frame_confidence_is_clipped_and_no_frames_give_no_d
     spread=st.floats(0, 200),
     rate=st.floats(0, 0.8),
     horizon=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3000, 3000)),
-    clutter=st.sampled_from(["calibrated", "thesis"]),
+    model=st.sampled_from(["calibrated", "thesis"]),
 )
-def test_every_detection_is_in_the_image_and_at_least_a_pixel(seed, width, height, spread, rate, horizon, clutter):
+def test_every_detection_is_in_the_image_and_at_least_a_pixel(seed, width, height, spread, rate, horizon, model):
     root = np.random.default_rng(seed).normal(0, spread, (4, 4))
     covariance = root @ root.T + spread**2 * np.eye(4)  # else thin boxes may have no way to grow on both sides
     error = build.box_error([0, 0, 0, 0], covariance)
-    data = build.one_state_data(false_discovery_rate=rate, box_error=error) | {"false_positives": {"model": clutter}}
+    data = build.one_state_data(false_discovery_rate=rate, box_error=error) | {"false_positives": {"model": model}}
     frames = build.make_frames(STEPS, image_px=(width, height), sea=horizon)
     found = build.run(data, frames, scattered_targets(seed, (width, height)), seed)
     assert len(found) > 0

@@ -100,7 +100,7 @@ def test_scores_make_the_curve_at_every_confidence(name: str, threshold: float) 
     recall = last * (1 - confidence) / (1 - threshold)  # of true detections above that confidence
     found = curve.false_per_target(recall) / curve.false_per_target(np.array([last]))
     np.testing.assert_allclose(found, 1 - share, atol=0.01)  # the steep curve rises within a dozen points of the grid
-    for scores in PrecisionRecall.through([[0.3, 1.0], [0.9, 1.0]]).scores(threshold):  # without false detections
+    for scores in PrecisionRecall.through([[0.3, 1.0], [0.9, 1.0]]).scores(threshold):  # without false positives
         levels = np.array([0.0, 0.4, 0.8])
         np.testing.assert_allclose(scores.at(levels), threshold + (1 - threshold) * levels)
 

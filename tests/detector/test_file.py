@@ -27,11 +27,11 @@ SLOPE = {"per_doubling": 1, "reference": 50}
 GROWTH = {"unit": "mixed", "mean": [0] * 4, "covariance": [[0] * 4] * 4, "growth": [0, 0.1, 0, 0]}
 INDEFINITE = np.diag([4.0, 9.0, 1.0, 1.0])
 INDEFINITE[2, 3] = INDEFINITE[3, 2] = 3.0  # eigenvalues 4 and −2
-CLUTTER_OFF = {"model": "calibrated", "placement": "uniform", "size": {"model": "truth"}}
+PLAIN_FALSE = {"model": "calibrated", "placement": "uniform", "size": {"model": "truth"}}
 OFF = {
     **{"dropout": {"model": "confusion", "anchor": "state_rate"}, "gates": {}},
     **{"persistence": {"class_s": 0, "box_s": 0}, "performance": {"scope": "shared", "schedule": []}},
-    "false_positives": CLUTTER_OFF | dict.fromkeys(("duplicates", "merges", "splits"), 0),
+    "false_positives": PLAIN_FALSE | dict.fromkeys(("duplicates", "merges", "splits"), 0),
 }
 
 

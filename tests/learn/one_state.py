@@ -94,8 +94,8 @@ def moored(frames: int, boats: int, columns: int, size_px, top_px=200.0, side_px
 
 def detector(confidence: dict[str, Any], **sections: Any) -> dict[str, Any]:
     """A detector of one state with small box errors and these keys of confidence."""
-    clutter = {"model": "calibrated", "size": {"model": "lognormal", "px": [40, 40], "log_std": 0.5}}
-    return {**detector_file(confidence=confidence), "false_positives": clutter, **sections}
+    section = {"model": "calibrated", "size": {"model": "lognormal", "px": [40, 40], "log_std": 0.5}}
+    return {**detector_file(confidence=confidence), "false_positives": section, **sections}
 
 
 def learned_from(labelled: LabelledSet, rule: Rule = PROVENANCE, without: Collection[str] = (), **others) -> Estimates:

@@ -136,7 +136,7 @@ WIDTH, HEIGHT = 1920, 1080
 
 
 def write_sets(folder, box, seed=0, shift_px=0.0, noise_px=2.0, stray=4):
-    """COCO: two vessels in each image, detected, with as many less confident false detections as asked for."""
+    """COCO: two vessels in each image, detected, with as many less confident false positives as asked for."""
     rng, image = np.random.default_rng(seed), np.repeat(np.arange(FRAMES), 2)
     corner = np.array([[570, 388], [1170, 488]]) + np.cumsum(rng.normal(0, 6, (FRAMES, 2, 2)), axis=0)
     true = np.concatenate([corner, corner + np.array([60, 24])], axis=2).reshape(-1, 4)

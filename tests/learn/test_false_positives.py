@@ -18,7 +18,7 @@ STAYS = {"lifetime_s": 5.0, "drift_px_s": 8.0, "share": 0.6}
 BAND = {"placement": "horizon_band", "band_px": 60.0, "persistence": STAYS}
 
 
-def on_a_rolling_camera(seed=0, **clutter):
+def on_a_rolling_camera(seed=0, **section):
     """Two boats before a camera that rolls and pitches, and false positives as a detector file describes them."""
     frame = np.arange(FRAMES)
     roll, pitch = 0.05 * np.sin(frame / 17), 15 * np.sin(frame / 11)
@@ -27,8 +27,8 @@ def on_a_rolling_camera(seed=0, **clutter):
     boxes = np.tile([[100.0, 350, 200, 400], [1000, 350, 1100, 400]], (FRAMES, 1))
     there = truth(image, 0 * image, boxes, identity=np.tile([0, 1], FRAMES))
     labelled = of_boats(images(FRAMES, (1200.0, 900.0), frame / RATE_HZ, half_planes), there, name="day")
-    clutter = {"model": "per_image", "rate": 1.2, "size": SIZE, **clutter}
-    return detected(labelled, detector_file("day", false=0.3) | {"false_positives": clutter}, seed)
+    section = {"model": "per_image", "rate": 1.2, "size": SIZE, **section}
+    return detected(labelled, detector_file("day", false=0.3) | {"false_positives": section}, seed)
 
 
 def inside(learned, **asked):
@@ -48,10 +48,10 @@ def learned_staying(staying):
     return learned_from(staying)
 
 
-def check(learned, placing, **clutter):
-    form, stays = learned.form.false_positives, clutter["persistence"]
+def check(learned, placing, **section):
+    form, stays = learned.form.false_positives, section["persistence"]
     assert form.placing == placing and form.drifts == ("drift_px_s" in stays)
-    asked = {key: value for key, value in {**clutter, **stays}.items() if isinstance(value, float)}
+    asked = {key: value for key, value in {**section, **stays}.items() if isinstance(value, float)}
     assert all(inside(learned, **asked, false_positives_per_image=1.2, log_std=0.3).values())
     assert learned.run_s == pytest.approx(FRAMES / RATE_HZ / 24, rel=0.01)  # as long as leaves enough runs
     written = parse_detector(learned.detector()).false_positives
@@ -62,8 +62,8 @@ def check(learned, placing, **clutter):
 
 def test_false_positives_that_stay_in_a_band_or_far_away_come_back_inside_their_intervals(learned_staying):
     check(learned_staying, "horizon_band", **BAND)
-    clutter = {"far_half_px": 80.0, "persistence": {"lifetime_s": 5.0, "share": 1.0}}
-    check(learned_from(on_a_rolling_camera(**clutter)), "far_half_px", **clutter)
+    section = {"far_half_px": 80.0, "persistence": {"lifetime_s": 5.0, "share": 1.0}}
+    check(learned_from(on_a_rolling_camera(**section)), "far_half_px", **section)
 
 
 def test_neither_persistence_nor_a_placement_is_learned_where_there_is_none():

@@ -87,7 +87,7 @@ def test_a_guess_is_a_detector_and_the_way_back_undoes_it(before: str, after: st
     content = content_of(name)
     try:
         there = guessed(content, change(before, after))
-    except InputError as error:  # so few false detections leave no room for second boxes, which stay
+    except InputError as error:  # so few false positives leave no room for second boxes, which stay
         assert name == "rich" and "leaves room for" in str(error)
         return
     model = parse_detector(there)  # refuses probabilities out of range, columns, covariances
@@ -129,7 +129,7 @@ def test_rates_per_image_follow_the_number_of_false_positives_and_are_told() -> 
     content = load_yaml(shipped_detectors()["coastal"], "detector")
     found = guessed(content, by)
     assert "false_discovery_rate" not in found["states"]["clear"]
-    rows = {row[0]: row[2] for row in _rows(content, found) if row[1] == "false detections in an image"}
+    rows = {row[0]: row[2] for row in _rows(content, found) if row[1] == "false positives in an image"}
     assert rows == {"clear": f"0.1 → {0.1 * by.false_per_image:.3g}", "haze": f"0.25 → {0.25 * by.false_per_image:.3g}"}
 
 

@@ -96,7 +96,7 @@ def test_the_command_writes_a_file_and_a_page_the_same_bytes_of_the_same_data(sh
     for folder in folders:
         folder.mkdir()
         out = folder / "detector.yaml"
-        result = command(*files, "--interval", 1, "--out", out, "--replicates", 40)
+        result = command(*files, "--time-step", 1, "--out", out, "--replicates", 40)
         assert result.exit_code == 0
     for file in ("detector.yaml", "detector.html"):
         first, second = ((folder / file).read_bytes() for folder in folders)
@@ -161,7 +161,7 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
     assert model.transition_matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in named.output
     assert "persistence: none; frames have no times" in named.output
     (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
-    command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
+    command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--time-step", 5, "--out", out,
             "--overwrite", "--replicates", 30)  # fmt: skip
     model = load_detector(out)
     assert [state.name for state in model.states] == ["excellent", "good", "bad"] and model.transition_interval_s == 5
@@ -228,7 +228,7 @@ def detected_boats(std_px, count=1500):
 def test_a_gate_makes_misses_and_false_detections_of_large_errors_and_leaves_the_box_errors():
     labelled = detected_boats(8.0)
     labelled = replace(labelled, results=replace(labelled.results, origin=None))
-    learned = one_state.learned_in(one_state.observed_in(labelled), clutter="calibrated")
+    learned = one_state.learned_in(one_state.observed_in(labelled), false_positives="calibrated")
     values = {entry.key.path: entry.estimate for entry in entries_of(learned.numbers)}
     assert np.abs(values["states.usual.confusion"] - [[0.85], [0.15]]).mean() > 0.02
     assert values["states.usual.false_discovery_rate"] > 0.12
@@ -249,7 +249,7 @@ def test_a_run_is_learned_by_provenance(short, tmp_path):
 
 
 def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(run, exported, tmp_path):
-    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--time-step", 1]
     command(*files, "--out", tmp_path / "learned.yaml", "--replicates", 20)
     # Shorter than what was learned from: verify counts the noise of the run alone, not that of learning.
     again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=tmp_path / "learned.yaml")
@@ -304,7 +304,7 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
 
 
 def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remarked(tmp_path):
-    settings = LearnSettings(replicates=20, clutter="calibrated")
+    settings = LearnSettings(replicates=20, false_positives="calibrated")
 
     def remarks(std_px, method="confidence", shift=0):
         labelled = detected_boats(std_px, 700)
@@ -317,7 +317,7 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
     assert "of the matches have an IoU of less than 0.6" in near
     assert of_vessels.startswith("Not known: false_positives.on_vessels.lifetime_s, false_positives.on_vessels.mean, ")
     start = "Not known: states.usual.confidence.false, false_positives.size; "
-    assert re.match(rf"{start}some [12]\d\d of \d\d\d false detections are boxes", unknown)
+    assert re.match(rf"{start}some [12]\d\d of \d\d\d false positives are boxes", unknown)
     assert remarks(8.0, "provenance") == ()
     assert "100 % of the matches have the label after" in remarks(2.0, shift=1)[0]
     moved = "In MOT, --labels can give the numbers of both files one name; in COCO, --category-offset -1 moves results"
@@ -333,7 +333,7 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
     pictures, results = replace(images(200), condition=haze.astype(int)), found(image, 0 * image, moved, [0.9] * 400)
     labelled = LabelledSet(("boat",), ("clear", "haze"), pictures, truth(image, 0 * image, boxes), results)
-    settings = LearnSettings(replicates=20, clutter="calibrated")
+    settings = LearnSettings(replicates=20, false_positives="calibrated")
     unknown, remark = learn_detector(labelled, settings, LearnOptions()).remarks
     assert unknown.startswith("Not known: states.haze.confidence.false")
     assert "of the matches in haze have an IoU of less than 0.6" in remark
@@ -373,9 +373,9 @@ def test_the_report_says_of_every_registered_model_and_of_no_other_whether_it_is
 
 
 def kept(content) -> set[str]:
-    clutter, confidence = content["false_positives"], content["states"]["clear"]["confidence"]
+    section, confidence = content["false_positives"], content["states"]["clear"]["confidence"]
     has = {"effects": "dropout" in content, "persistence": "persistence" in content, "confidence": "true" in confidence}
-    has |= {"sizes": "size" in clutter, "places": "placement" in clutter}
+    has |= {"sizes": "size" in section, "places": "placement" in section}
     return {name for name, there in has.items() if there}
 
 

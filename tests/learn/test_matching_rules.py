@@ -160,7 +160,7 @@ def test_the_last_line_says_so_of_files_too_which_are_learned_together_with_runs
     files = {name: ("--truth", tmp_path / name / "gt.json", "--detections", tmp_path / name / "dt.json")
              for name in ("far", "near")}  # fmt: skip
     last = learn(tmp_path, *files["far"]).splitlines()[-1]
-    assert last.startswith("warning: ") and "missed annotations overlap a false detection, and only" in last
+    assert last.startswith("warning: ") and "missed annotations overlap a false positive, and only" in last
     assert "Use --match centre" in last and "warning" not in learn(tmp_path, *files["near"])
     both = learn(tmp_path, far_off, *files["far"], "--match", "confidence")  # a rule that both know
     assert both.startswith("120 images")

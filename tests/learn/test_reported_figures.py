@@ -34,7 +34,7 @@ def test_in_a_scene_of_its_own_it_has_precision_recall_and_mean_iou_of_the_repor
             both = [(each[2] - each[0]) * (each[3] - each[1]) for each in (box, own)]
             overlaps.append(common / (sum(both) - common))
             right += overlaps[-1] >= 0.5
-        found += len(detected.instance) + len(seen.false_detections.frame_row)
+        found += len(detected.instance) + len(seen.false_positives.frame_row)
         there += len(boats.label)
     measured = {"precision": right / found, "recall": right / there, "mean_iou": float(np.mean(overlaps))}
     assert len(overlaps) > 10_000 and measured == pytest.approx(asked, abs=0.01)
@@ -58,7 +58,7 @@ def test_a_matrix_means_the_same_whichever_way_it_is_printed(report: dict[str, A
         assert found["false_positive_labels"] == pytest.approx([0.625, 0.375], abs=0.01)
 
 
-def test_annotations_tell_rows_from_columns_and_images_make_false_alarms_on_an_empty_sea() -> None:
+def test_annotations_tell_rows_from_columns_and_images_make_false_positives_on_an_empty_sea() -> None:
     told = {"annotations": {"boat": 100, "ship": 100}, "images": 50}
     for matrix, rows in ((COUNTS, "predicted"), (np.transpose(COUNTS).tolist(), "true")):
         made = modsim3d.learn_from_figures({**KNOWN, **told, "confusion_matrix": matrix})

@@ -54,7 +54,7 @@ def test_a_detector_of_the_models_that_are_learned_is_found_again(monkeypatch) -
     monkeypatch.setattr(learning_check, "TRACKED_SEEDS", 3)
     rows = compared()
     assert not [row for row in rows.values() if row.differs]
-    names = ("share found", "frames of a gap", "confidence before a miss", "false detections an image")
+    names = ("share found", "frames of a gap", "confidence before a miss", "false positives an image")
     for name in (*names, "HOTA of reference", "HOTA of sort"):
         assert rows[name].real == pytest.approx(rows[name].simulated, rel=0.2)
         assert 0 < rows[name].spread < rows[name].real

@@ -178,8 +178,8 @@ def test_other_detectors_no_runs_broken_tables_and_interrupted_runs_are_refused(
 ])  # fmt: skip
 def test_honest_false_positives_obey_and_others_are_told_apart(many, keys, name):
     usual = {"model": "per_image", "rate": 2.0, "persistence": {"lifetime_s": 2.0, "share": 0.5}}
-    clutter = usual | keys, usual | ({} if name else keys)
-    made_with, asked = (parse_detector(thesis_data() | {"false_positives": each}) for each in clutter)
+    section = usual | keys, usual | ({} if name else keys)
+    made_with, asked = (parse_detector(thesis_data() | {"false_positives": each}) for each in section)
     wanted = ("false_positives.placement", "false_positives.size", "false_positives.persistence.lifetime_s")
     checks = [each for each in false_positive_checks(asked, many.detect(made_with, 3)) if each.name.startswith(wanted)]
     found = {each.name: each.measure.p_value() for each in checks if each.measure is not None}
@@ -228,8 +228,8 @@ def test_splits_leave_the_law_of_box_errors_as_it_is_and_an_operating_threshold_
 
 @pytest.mark.parametrize("limit", [{"operating_threshold": 0.7}, {"gates": {"max_detections": 2}}])
 def test_parts_of_vessels_of_which_one_was_dropped_are_no_fault(many: ManyDetections, limit: Data) -> None:
-    clutter = {"model": "per_image", "rate": 0.1, "splits": 0.5, "split_aspect": 0.2, "duplicates": 0.1}
-    model = parse_detector(thesis_data() | {"false_positives": clutter} | limit)
+    section = {"model": "per_image", "rate": 0.1, "splits": 0.5, "split_aspect": 0.2, "duplicates": 0.1}
+    model = parse_detector(thesis_data() | {"false_positives": section} | limit)
     found = false_positive_checks(model, many.detect(model, 0))
     assert any(p.name.endswith("false_positives_per_image") and p.measure is None for p in found)
     assert min([p.measure.p_value() for p in found if p.measure is not None], default=1.0) > 1e-5

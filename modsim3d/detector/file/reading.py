@@ -145,7 +145,7 @@ def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[
     if rate is None or not FALSE_POSITIVE_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
         return []
     return [
-        f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false detections for each true "
+        f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false positives for each true "
         f"one, but false_positives.duplicates and splits alone may make {extra:g}: lower them, or choose per_image"
     ]
 

@@ -286,7 +286,7 @@ def _curve(value: list[tuple[float, float]]) -> list[tuple[float, float]]:
     falls = PrecisionRecall.through(value).falls()
     if falls is not None:
         raise ValueError(
-            f"precision rises so fast from recall {falls[0]:.3g} on that false detections would have to vanish: no "
+            f"precision rises so fast from recall {falls[0]:.3g} on that false positives would have to vanish: no "
             "detector has such a curve"
         )
     return value

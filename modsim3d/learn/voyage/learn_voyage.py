@@ -13,7 +13,7 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.io.input_files import inputs_noted
-from modsim3d.learn.learn_detector import MIN_CONFIDENCE, Clutter, LearnOptions, LearnRequest, parse_states
+from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions, LearnRequest, NumberModel, parse_states
 from modsim3d.learn.learned_detector import LearnSettings
 from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.report import LearnReport
@@ -175,7 +175,7 @@ def learn_voyage(
     seed: int = 0,
     level: float = 0.95,
     beta: float = 2.0,
-    clutter: Clutter = "auto",
+    false_positives: NumberModel = "auto",
     without: Sequence[str] = (),
 ) -> VoyageResult:
     """Learn a detector from what it wrote during a voyage whose vessels' tracks are known.
@@ -200,8 +200,8 @@ def learn_voyage(
         attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
         match: As that of `modsim3d.learn_detector`; but if None, by centres where positions are not surely known.
-        conditions, states, least_iou, most_distance_px, confidence, replicates, seed, level, beta, clutter, without: As
-            those of `modsim3d.learn_detector`.
+        conditions, states, least_iou, most_distance_px, confidence, replicates, seed, level, beta, false_positives,
+            without: As those of `modsim3d.learn_detector`.
 
     Raises:
         ModsimError: The scene or the log cannot be read, they do not fit each other, the camera cannot be registered,

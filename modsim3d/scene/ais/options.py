@@ -65,7 +65,7 @@ class Options:
             f"--{name}: must be above 0, from {MIN_VALUE:g} to {MAX_VALUE:g} (got {value:g})"
             for name, value in (
                 ("time-step", self.time_step_s),
-                ("gap", self.max_gap_s),
+                ("report-gap", self.max_gap_s),
                 ("max-speed", self.max_speed_kn),
                 ("end +SECONDS", self.duration_s),
             )

@@ -59,7 +59,7 @@ class StoneSoupJpda(StoneSoup):
     """Each track is updated with all detections in its gate, weighted by how probably each is its own."""
 
     detection_probability: Share = 0.9  # probability that a vessel is detected in a frame
-    # Mean number of false detections in a frame; they are taken to lie anywhere in the image, with widths and heights
+    # Mean number of false positives in a frame; they are taken to lie anywhere in the image, with widths and heights
     # up to a quarter of the image's.
     false_alarms_per_frame: Positive = 1.0
 
@@ -76,7 +76,7 @@ class StoneSoupWorld(WorldTracker):
     error_scale: Positive = 1.0  # factor of the standard deviations of detections, above 1 where their errors last
     gate_probability: Share = 0.99  # share of the true detections that lie in the gate
     detection_probability: Share = 0.9  # probability that a vessel is detected in a frame
-    false_alarms_per_frame: Positive = 1.0  # mean number of false detections in a frame
+    false_alarms_per_frame: Positive = 1.0  # mean number of false positives in a frame
     start_confidence: Probability = 0.0  # least confidence of a detection that starts a track
     start_error: Positive = 0.3  # greatest standard deviation of its inverse range, as a share of that
     farthest_m: Positive = 3000.0  # distance beyond which no vessel is expected

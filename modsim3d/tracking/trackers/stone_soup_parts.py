@@ -41,7 +41,7 @@ from modsim3d.tracking.trackers.world_interface import AisReport, WorldFacts, Wo
 START = datetime(2000, 1, 1)
 _STATE = 6  # x, its rate, y, its rate, width, height
 _MEASURED = (0, 2, 4, 5)
-_LARGEST_CLUTTER_SHARE = 0.25  # of the image's width and height: sizes of false detections are taken to go up to it
+_MAX_BOX_SHARE = 0.25  # of the image's width and height: sizes of false positives are taken to go up to it
 _MIN_SIDE_PX = 1.0
 
 
@@ -188,7 +188,7 @@ def _joint(settings: Any, camera: CameraFacts, predictor: Any, updater: Any) -> 
     """Joint association by loopy belief propagation (Williams & Lau (2014)). Exact methods take seconds a frame where a
     dozen detections lie in the gates of a dozen tracks."""
     width, height = camera.image_size_px
-    places = width * height * (width * _LARGEST_CLUTTER_SHARE) * (height * _LARGEST_CLUTTER_SHARE)
+    places = width * height * (width * _MAX_BOX_SHARE) * (height * _MAX_BOX_SHARE)
     hypotheses = PDAHypothesiser(
         predictor,
         updater,
@@ -244,7 +244,7 @@ class _Measurements:
     value: Array  # (m, 2)
     noise: Array  # (m, 2, 2)
     alone: Mask  # whether only the first coordinate is measured, (m,)
-    log_clutter: Array  # logarithm of the density of false ones in the first coordinate alone, and in both
+    log_density: Array  # logarithm of the density of false ones in the first coordinate alone, and in both
     starts: Mask  # whether it may start a track, (m,)
 
     def detections(self, time: datetime) -> Iterator[Any]:
@@ -289,7 +289,7 @@ class _Hypotheses:
         squared = np.where(alone, off[:, 0] ** 2 / aa, both)
         size = np.where(alone, 1, 2)
         weight = self._log_detected - (squared + np.log(determinant) + size * log(2 * pi)) / 2
-        weight -= given.log_clutter[size - 1]
+        weight -= given.log_density[size - 1]
         for at in np.flatnonzero(squared <= self._gates[alone.astype(np.int64)]).tolist():
             part = slice(0, int(size[at]))
             mean, cross = expected.state_vector[part], expected.cross_covar[:, part]
@@ -389,7 +389,7 @@ class WorldFilter:
             value=np.stack([(bearing - towards + pi) % (2 * pi) - pi, np.where(alone, 0, inverse)], axis=-1),
             noise=noise,
             alone=alone,
-            log_clutter=_log_clutter(self._cameras[frame.camera], frame.position_m[2], settings.false_alarms_per_frame),
+            log_density=_log_density(self._cameras[frame.camera], frame.position_m[2], settings.false_alarms_per_frame),
             starts=near & (frame.sensed.confidence[rows] >= settings.start_confidence),
         )
 
@@ -407,7 +407,7 @@ class WorldFilter:
             value=places + age_s[:, None] * np.nan_to_num(speeds),
             noise=variance[:, None, None] * np.eye(2),
             alone=np.zeros(count, dtype=bool),
-            log_clutter=np.log([_AIS_PER_M2, _AIS_PER_M2]),
+            log_density=np.log([_AIS_PER_M2, _AIS_PER_M2]),
             starts=np.zeros(count, dtype=bool),
         )
 
@@ -430,9 +430,9 @@ class WorldFilter:
         )
 
 
-def _log_clutter(camera: Camera, height_m: float, false_alarms: float) -> Array:
-    """Logarithm of the density of false detections in bearing, and in bearing and inverse range: they are taken to lie
+def _log_density(camera: Camera, height_m: float, per_frame: float) -> Array:
+    """Logarithm of the density of false positives in bearing, and in bearing and inverse range: they are taken to lie
     anywhere below the middle of the image."""
     (width, height), (f1, f2) = camera.intrinsics.image_size_px, camera.intrinsics.focal_px
     across, down = 2 * np.arctan(width / (2 * f1)), height / (2 * f2) / max(height_m, _MIN_HEIGHT_M)
-    return np.log([false_alarms / across, false_alarms / (across * down)])
+    return np.log([per_frame / across, per_frame / (across * down)])

@@ -257,7 +257,7 @@ def _options(traffic: AisTraffic) -> list[tuple[str, str]]:
         rows.append((f"--region {options.region}", given))
     for name, value, unless in (
         ("time-step", options.time_step_s, usual.time_step_s),
-        ("gap", options.max_gap_s, usual.max_gap_s),
+        ("report-gap", options.max_gap_s, usual.max_gap_s),
         ("max-speed", options.max_speed_kn, usual.max_speed_kn),
     ):
         rows.append((f"--{name} {value:g}", default if value == unless else given))

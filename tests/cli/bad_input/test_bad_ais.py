@@ -124,7 +124,7 @@ def test_pipes_folders_and_absurd_options_are_refused_and_a_time_tag_of_too_many
         ("--time-step 1e-300", "--time-step: must be above 0, from 1e-06 to 1e+09 (got 1e-300)"),
         ("--end +1e300", "--end +SECONDS: must be above 0, from 1e-06 to 1e+09"),
         ("--max-speed 1e308", "--max-speed: must be above 0"),
-        ("--gap 1e308", "--gap: must be above 0"),
+        ("--report-gap 1e308", "--report-gap: must be above 0"),
         ("--start 0001-01-01T00:00:00+14:00", "more than 1,000,000: choose --start"),
         ("--start 9999-12-31T23:59:59-14:00 --end +1e9", "no positions of ships"),
         ("--origin 1e300,1e300", "--origin: latitude 1e+300 is beyond ±90"),

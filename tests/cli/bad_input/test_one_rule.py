@@ -117,7 +117,7 @@ def test_what_a_command_reads_stays_however_it_is_spelled_or_named(run, call, tm
 @pytest.mark.parametrize("name", [".d.yaml.lock", ".d.partial.yaml"])
 def test_what_lies_beside_an_output_while_it_is_written_is_no_input(run: Path, call: Call, tmp_path, name) -> None:
     (tmp_path / name).write_text("usual\n")
-    line = ("learn", run, "--sequence", tmp_path / name, "--interval", 1, "--out", tmp_path / "d.yaml")
+    line = ("learn", run, "--sequence", tmp_path / name, "--time-step", 1, "--out", tmp_path / "d.yaml")
     refusal(call, (*line, "--overwrite"), str(tmp_path / name))
     assert (tmp_path / name).read_text() == "usual\n"
 

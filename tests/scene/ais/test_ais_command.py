@@ -46,7 +46,7 @@ def test_the_usual_detector_fits_vessels_far_away_and_groups_have_labels_of_the_
 
 def test_a_scene_folder_is_made_and_runs_as_typed_and_one_with_something_in_it_is_left_alone(call, tmp_path):
     out = tmp_path / "scene"
-    status, said = call("ais", DANISH, "--out", out, "--gap", 120, "--time-step", 2)
+    status, said = call("ais", DANISH, "--out", out, "--report-gap", 120, "--time-step", 2)
     words = ("254", "messages used", "249", "no_position", "jump", "heading_from_course", "air_draft", "10:00:00Z")
     assert status == 0 and [word for word in (*words, f"modsim3d run {out}") if word not in said] == []
     assert {path.name for path in out.iterdir()} == {
@@ -273,7 +273,7 @@ def test_the_page_begins_with_the_result_and_says_what_became_of_vessels_and_rep
         "row 83: LAT is not a number (got 'x56')",
         "219000002|X|16|20|20|1|300|282|48.5 %|",
         "Length missing: typical of the ship type|1|",
-        *("--gap 120|given|", "--region 55.9,11.9,56.2,12.3|given|", "--label type|given|"),
+        *("--report-gap 120|given|", "--region 55.9,11.9,56.2,12.3|given|", "--label type|given|"),
         "--time-step 1|by default|",
     }
     assert lines - set(said.splitlines()) == set()

@@ -444,7 +444,7 @@ def classify_unmatched(
 
 
 def _free_share(observed: Outcomes) -> Array:
-    """Share of the false detections of each state that are neither second boxes nor parts of vessels, (states,)."""
+    """Share of the false positives of each state that are neither second boxes nor parts of vessels, (states,)."""
     results, states = observed.labelled.results, len(observed.states)
     free, every = (
         np.bincount(observed.image_state[results.image[rows]], minlength=states)
@@ -454,7 +454,7 @@ def _free_share(observed: Outcomes) -> Array:
 
 
 def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
-    """The share of false detections with the rate that is used. Of the odds of being false, the part `free`, those that
+    """The share of false positives with the rate that is used. Of the odds of being false, the part `free`, those that
     are no second boxes or parts, changes with the rate."""
     share_before = np.clip(column.values, 0, 1 - 1e-12)
     odds = share_before / (1 - share_before) * (1 - free + free * rate.factor)

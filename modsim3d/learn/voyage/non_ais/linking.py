@@ -1,4 +1,4 @@
-"""False detections linked over time: which are the same thing, seen again, at a constant velocity along and below the
+"""False positives linked over time: which are the same thing, seen again, at a constant velocity along and below the
 horizon, so that roll and pitch do not break the links."""
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ class Sides:
 
     @classmethod
     def of(cls, sightings: FalseSightings, known: Annotations, images: int) -> Sides:
-        """Sides of false detections beside known vessels, in so many images."""
+        """Sides of false positives beside known vessels, in so many images."""
         centre, half = np.column_stack([sightings.along_px, sightings.depth_px]), sightings.sizes_px / 2
         boxes = sightings.boxes_px
         with np.errstate(invalid="ignore"):

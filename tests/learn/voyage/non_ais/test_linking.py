@@ -1,4 +1,4 @@
-"""False detections linked over time; a vessel without a transponder that passes a known one, or one at the border."""
+"""False positives linked over time; a vessel without a transponder that passes a known one, or one at the border."""
 
 from dataclasses import replace
 
@@ -112,15 +112,15 @@ def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_one
     assert (pieces > 5) == (error_px > 2)
 
 
-def test_errors_of_large_known_vessels_do_not_link_small_clutter():
+def test_errors_of_large_known_vessels_do_not_link_small_strays():
     """A false positive an image of 6 to 24 px, where boxes of 250 px err by 15 px."""
     rng, frame = np.random.default_rng(0), np.arange(600)
     known = np.concatenate([boxes_at(200 + 350.0 * k + 0.1 * frame, 0 * frame + 420.0, 250.0) for k in range(3)])
     single = np.repeat(frame, rng.poisson(1.0, 600))
     count = len(single)
-    clutter = boxes_at(rng.uniform(400, 800, count), rng.uniform(620, 680, count), rng.uniform(6, 24, count))
+    strays = boxes_at(rng.uniform(400, 800, count), rng.uniform(620, 680, count), rng.uniform(6, 24, count))
     image = np.r_[np.tile(frame, 3), single]
-    boxes = np.concatenate([known + rng.normal(0, 15, known.shape), clutter])
+    boxes = np.concatenate([known + rng.normal(0, 15, known.shape), strays])
     annotated = truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600))
     judged = classify_unmatched(observed(set_of_boxes(image, boxes, annotated, frames=600), Rule("centre")))
     assert judged.links.jitter.place_px.min() > 10 and judged.tracklets.lasted_s.max() <= 30
