@@ -19,7 +19,7 @@ DETECTOR = "../scenes/detectors/thesis.yaml"
 VESSELS = 50
 THOUSAND = 1000
 SMALL_STEPS, DENSE_STEPS, THOUSAND_STEPS, TIME_STEP_S = 500, 300, 100, 0.2
-NEAREST_M, FARTHEST_M = 300.0, 2500.0
+MIN_DISTANCE_M, MAX_DISTANCE_M = 300.0, 2500.0
 SPEEDS_M_S = (0.5, 3.0)
 CLEARANCE_M = 1.0
 TRIES = 20_000
@@ -114,7 +114,7 @@ def _text(
         for name, (start, end) in zip(names, tracks, strict=True)
     ]
     # Between the waterlines of the nearest and the farthest.
-    pitch = (math.atan(height_m / NEAREST_M) + math.atan(height_m / FARTHEST_M)) / 2
+    pitch = (math.atan(height_m / MIN_DISTANCE_M) + math.atan(height_m / MAX_DISTANCE_M)) / 2
     return "\n".join(lines) + "\n" + camera_text(height_m, pitch, image_px)
 
 
@@ -151,7 +151,7 @@ def _free_track(
 ) -> tuple[np.ndarray, np.ndarray, shapely.Polygon]:
     for _ in range(TRIES):
         # Log-uniform: uniformly over the sea, most boats would be a few pixels high.
-        distance = math.exp(rng.uniform(math.log(NEAREST_M), math.log(FARTHEST_M)))
+        distance = math.exp(rng.uniform(math.log(MIN_DISTANCE_M), math.log(MAX_DISTANCE_M)))
         bearing, heading = rng.uniform(-HALF_VIEW_RAD, HALF_VIEW_RAD), rng.uniform(-math.pi, math.pi)
         ahead = np.array([math.cos(heading), math.sin(heading)])
         start = distance * np.array([math.cos(bearing), math.sin(bearing)])
@@ -170,7 +170,7 @@ def _in_view(start: np.ndarray, end: np.ndarray, hull: Hull) -> bool:
     places = start + np.linspace(0, 1, 11)[:, None] * (end - start)
     distance, bearing = np.hypot(*places.T), np.arctan2(places[:, 1], places[:, 0])
     half_angle = np.arcsin(np.minimum(np.hypot(hull.length, hull.beam) / 2 / distance, 1))
-    near_enough = (distance >= NEAREST_M) & (distance <= FARTHEST_M)
+    near_enough = (distance >= MIN_DISTANCE_M) & (distance <= MAX_DISTANCE_M)
     return bool((near_enough & (np.abs(bearing) + half_angle <= HALF_VIEW_RAD)).all())
 
 

@@ -41,7 +41,7 @@ SHARES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.26, 0.3)
 HORIZONS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 THRESHOLDS = (0.05, 0.1, 0.2, 0.3)
 DRAWS = 1_000_000
-FEWEST = 1000
+MIN_GIVEN = 1000
 """Fewer positions say little."""
 MAX_MEAN, MAX_STD, COVERAGE, MIN_POSITION = 0.2, 0.1, (0.93, 0.97), 0.92
 """Bounds of the campaign: |mean|, |standard deviation − 1|, coverage of 95 % intervals, and of 95 % ellipses."""
@@ -230,7 +230,7 @@ def problems(rows: list[dict[str, Any]]) -> list[str]:
             good = abs(seen["mean"]) <= MAX_MEAN and abs(seen["std"] - 1) <= MAX_STD
             if not (good and COVERAGE[0] <= seen["inside"] <= COVERAGE[1]):
                 found.append(f"{row['scene']}, {row['sea']}, {row['attitude']}, {row['errors']}: {key} {seen}")
-        if row["given"] >= FEWEST and row["inside_given"] < MIN_POSITION:
+        if row["given"] >= MIN_GIVEN and row["inside_given"] < MIN_POSITION:
             found.append(f"{row['scene']}, {row['sea']}, {row['errors']}: positions {row['inside_given']:.3f}")
     return found
 
@@ -298,7 +298,7 @@ def page(data: dict[str, Any]) -> str:
         if row["sea"] == "flat" and row["attitude"] != "measured":
             cells = [
                 f"{at['given']:,}: {percent(at['inside'])}, {percent(at['short'])} / {percent(at['far'])}"
-                if at["given"] >= FEWEST
+                if at["given"] >= MIN_GIVEN
                 else f"{at['given']}"
                 for at in row["thresholds"]
             ]

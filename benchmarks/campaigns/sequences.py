@@ -37,9 +37,9 @@ ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"
 ALPHA = 0.05
 POWER = 0.9
-LONGEST = 20_000
+MAX_SEEDS = 20_000
 """Seeds of a campaign with requirements of shares."""
-LONGEST_MEAN = 2_000
+MAX_MEAN_SEEDS = 2_000
 """The same with requirements of means."""
 AT_ONCE = 100
 """Campaigns whose capital is computed at once."""
@@ -136,7 +136,7 @@ def looked_twice(rng: np.random.Generator, campaigns: int) -> dict[str, float]:
 def sequences_of_shares(rng: np.random.Generator, campaigns: int) -> list[dict[str, Any]]:
     rows = []
     for share in SHARES:
-        met, failed = decided_shares(rng.random((campaigns, LONGEST)) < share, share)
+        met, failed = decided_shares(rng.random((campaigns, MAX_SEEDS)) < share, share)
         row = {"share": share, "met": share_of(np.isfinite(met)), "failed": share_of(np.isfinite(failed))}
         rows.append({**row, "either": share_of(np.isfinite(np.minimum(met, failed)))})
     return rows
@@ -145,7 +145,7 @@ def sequences_of_shares(rng: np.random.Generator, campaigns: int) -> list[dict[s
 def sequences_of_means(rng: np.random.Generator, campaigns: int) -> list[dict[str, Any]]:
     rows = []
     for name, (mean, draw) in DISTRIBUTIONS.items():
-        values = draw(rng, (campaigns, LONGEST_MEAN))
+        values = draw(rng, (campaigns, MAX_MEAN_SEEDS))
         met, failed = decided_means(values, mean)
         row = {"values": name, "met": share_of(np.isfinite(met)), "failed": share_of(np.isfinite(failed))}
         for size in (10, 30, 100):
@@ -160,7 +160,7 @@ def power_of_shares(rng: np.random.Generator, campaigns: int) -> list[dict[str, 
     rows = []
     for share, truths in TRUE_SHARES.items():
         for truth in truths:
-            met, failed = decided_shares(rng.random((campaigns, LONGEST)) < truth, share)
+            met, failed = decided_shares(rng.random((campaigns, MAX_SEEDS)) < truth, share)
             rows.append(
                 {"share": share, "true": truth, **waited(met, failed, truth > share), "fixed": fixed_size(share, truth)}
             )
@@ -170,7 +170,7 @@ def power_of_shares(rng: np.random.Generator, campaigns: int) -> list[dict[str, 
 def power_of_means(rng: np.random.Generator, campaigns: int) -> list[dict[str, Any]]:
     rows = []
     for truth in TRUE_MEANS:
-        met, failed = decided_means(beta(truth, BETA_SUM)(rng, (campaigns, LONGEST_MEAN)), THRESHOLD)
+        met, failed = decided_means(beta(truth, BETA_SUM)(rng, (campaigns, MAX_MEAN_SEEDS)), THRESHOLD)
         row = {"threshold": THRESHOLD, "true": truth, **waited(met, failed, truth > THRESHOLD)}
         rows.append(
             {
@@ -194,8 +194,8 @@ def waited(met: np.ndarray, failed: np.ndarray, should_be_met: bool) -> dict[str
 
 
 def fixed_size(share: float, truth: float) -> float:
-    """The least size from which on the exact bound decides rightly with the probability POWER, up to LONGEST."""
-    sizes = np.arange(1, LONGEST + 1)
+    """The least size from which on the exact bound decides rightly with the probability POWER, up to MAX_SEEDS."""
+    sizes = np.arange(1, MAX_SEEDS + 1)
     if truth > share:
         most_wrong = stats.binom.ppf(ALPHA, sizes, 1 - share)
         most_wrong -= stats.binom.cdf(most_wrong, sizes, 1 - share) > ALPHA
@@ -209,7 +209,7 @@ def fixed_size(share: float, truth: float) -> float:
 
 def fixed_size_of_mean(distance: float, deviation: float) -> float:
     """The least size with which Student's t decides rightly with the probability POWER."""
-    for size in range(2, LONGEST):
+    for size in range(2, MAX_SEEDS):
         limit = stats.t.isf(ALPHA, size - 1)
         if stats.nct.sf(limit, size - 1, distance / deviation * math.sqrt(size)) >= POWER:
             return float(size)
@@ -339,7 +339,7 @@ def text(found: dict[str, Any]) -> str:
         large=found["looked at twice"]["large"],
         twice=percent(found["looked at twice"]["met"]),
         twice_simulated=percent(found["looked at twice"]["met simulated"]),
-        longest=LONGEST,
+        longest=MAX_SEEDS,
         shares=table(
             ["share", "ever met", "ever failed", "either"],
             [
@@ -347,7 +347,7 @@ def text(found: dict[str, Any]) -> str:
                 for row in found["shares"]
             ],
         ),
-        longest_mean=LONGEST_MEAN,
+        longest_mean=MAX_MEAN_SEEDS,
         means=table(
             ["values", "ever met", "ever failed", *t_header],
             [[row["values"], *(percent(row[key]) for key in ("met", "failed", *by_t))] for row in found["means"]],

@@ -23,7 +23,7 @@ TITLES = {
     "damage": "Damage between interruption and `--resume`",
     "commands": "The other commands",
 }
-LONGEST = 300
+MAX_LENGTH = 300
 
 
 def rows_of(tried: Sequence[Tried], folder: str) -> list[dict[str, Any]]:
@@ -47,7 +47,7 @@ def rows_of(tried: Sequence[Tried], folder: str) -> list[dict[str, Any]]:
 
 
 def _short(said: str) -> str:
-    return re.sub(r"\s+", " ", said)[-LONGEST:]
+    return re.sub(r"\s+", " ", said)[-MAX_LENGTH:]
 
 
 def _without_numbers(case: str) -> str:

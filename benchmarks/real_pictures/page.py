@@ -123,7 +123,7 @@ def _section(title: str, found: Results, *, switches: bool) -> Iterator[str]:
             cells += [f"{plain(alike['real'], 2)} ({plain(alike['seeds'], 2)})"]
             rows.append([rung["title"] if rung["name"] != top else "all models", f"`{tracker}`", *cells])
     head = [f"{name}: real; simulated − real" for _, name, _ in columns]
-    yield from table(["Estimates", "Tracker", *head, "films alike (seeds)"], rows)
+    yield from table(["Learned", "Tracker", *head, "films alike (seeds)"], rows)
     order = found["ranking"][top]
     if order["films"]:
         yield f"By mean HOTA: real {' > '.join(order['real'])}; simulated {' > '.join(order['simulated'])}."

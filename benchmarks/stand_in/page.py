@@ -117,7 +117,7 @@ def _ladder(results: Results) -> Lines:
     yield from ("", "## The ladder", "", filled(prose.LADDER))
     trackers, found = results["trackers"], results["differences"]
     yield from table(
-        ["", "Estimates", *code(trackers)],
+        ["", "Learned", *code(trackers)],
         [
             [
                 rung["name"],
@@ -273,7 +273,7 @@ def _classifier(results: Results) -> Lines:
     titles = {rung["name"]: [rung["name"], rung["title"]] for rung in results["rungs"]}
     yield from ("## Can a classifier tell them apart?", "", filled(prose.CLASSIFIER))
     yield from table(
-        ["", "Estimates", "Frames", "told by", "Tracks", "told by"],
+        ["", "Learned", "Frames", "told by", "Tracks", "told by"],
         [
             [
                 *titles.get(name, ("", prose.SEEDS_APART)),

@@ -198,7 +198,7 @@ def results_table(folder: CampaignFolder) -> pa.Table:
 
 
 POWER = 0.8  # how often a mean as expected is to be met
-_DRAWN, _DRAWN_SEQUENTIAL, _LONGEST = 20_000, 100, 5_000
+_DRAWN, _DRAWN_SEQUENTIAL, _MAX_SEEDS = 20_000, 100, 5_000
 _NUMBER = r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
 
 
@@ -286,7 +286,7 @@ def _with_seeds(
     seeds = (_once if once else _sequential)(expected, requirement, limits_of(requirement, plan.keys.score), least)
     why = f"for a mean of {wording.rounded(expected.mean)} and a spread of {wording.rounded(expected.spread)}"
     why += f", {counted(expected.lost, 'lost run')} of it left out" * (expected.lost > 0)
-    return replace(found, seeds=seeds, why=why if seeds else f"more than {_LONGEST:,} {why}")
+    return replace(found, seeds=seeds, why=why if seeds else f"more than {_MAX_SEEDS:,} {why}")
 
 
 def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expectation | None:
@@ -325,7 +325,7 @@ def _sequential(expected: Expectation, requirement: Requirement, limits: tuple[f
     start, end = limits if requirement.at_least is not None else reversed(limits)
     rng, wealth, first = np.random.default_rng(1), -math.log1p(-requirement.confidence), []
     for _ in range(_DRAWN_SEQUENTIAL):
-        values = np.clip((rng.normal(expected.mean, expected.spread, _LONGEST) - start) / (end - start), 0, 1)
+        values = np.clip((rng.normal(expected.mean, expected.spread, _MAX_SEEDS) - start) / (end - start), 0, 1)
         met = np.flatnonzero(bounds.log_capital(values, (requirement.threshold - start) / (end - start)) >= wealth)
         first.append(max(met[0] + 1, least) if len(met) else math.inf)
     seeds = float(np.quantile(first, POWER, method="inverted_cdf"))

@@ -225,7 +225,7 @@ _WRITERS: dict[str, Callable[[Array], Any]] = {
     "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, schema.MIN_DEGREES, schema.MAX_DEGREES)),
     "density": lambda value: nested(np.round(value / value.max(), 6)),
     "quantiles": lambda value: nested(np.maximum.accumulate(value)),
-    "false_discovery_rate": lambda value: nested(np.minimum(value, schema.GREATEST_FALSE_DISCOVERY_RATE)),
+    "false_discovery_rate": lambda value: nested(np.minimum(value, schema.MAX_FALSE_DISCOVERY_RATE)),
     "false_positives_per_image": lambda value: nested(np.minimum(value, schema_models.MAX_PER_IMAGE)),
 }
 """How numbers are written that a draw may have moved beyond what a file may have."""

@@ -106,7 +106,7 @@ def _said(file: ListedFile | None) -> str:
     return "is missing" if file is None else f"has {file['bytes']} bytes and the checksum {file['sha256']}"
 
 
-MOST = 5
+MAX_KEYS = 5
 PARTS = ("campaign", "versions")  # of a plan, what its user knows: the keys of the file, and the versions of packages
 
 
@@ -114,9 +114,9 @@ def differences(there: Any, now: Mapping[str, Any]) -> list[str]:
     """The first few keys whose values differ between the content of a stored plan and another, each with both."""
     there = there if isinstance(there, dict) else {}
     found = [line for part in PARTS for line in _between(there.get(part), now.get(part), (part,))]
-    lines = [line.removeprefix("campaign.") for line in found[:MOST]]
-    if len(found) > MOST:
-        lines.append(f"{len(found) - MOST} more keys")
+    lines = [line.removeprefix("campaign.") for line in found[:MAX_KEYS]]
+    if len(found) > MAX_KEYS:
+        lines.append(f"{len(found) - MAX_KEYS} more keys")
     return lines or ["a scene, a detector or a tracker that it names was changed"]
 
 
@@ -281,7 +281,7 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
 
 
 _LINE = re.compile(r"killed \S+ how=(.*) host=.* runs=([0-9,]+)")
-_MOST = 8  # numbers of runs in a sentence
+_MAX_RUNS = 8  # numbers of runs in a sentence
 
 
 def note_kill(folder: CampaignFolder, death: Death, runs: Sequence[int]) -> None:
@@ -300,7 +300,7 @@ def killed_sentence(folder: CampaignFolder) -> str | None:
     if not found:
         return None
     hows = listed([f"{how} {count}×" for how, count in Counter(how for how, _ in found).items()])
-    runs = listed(sorted({run for _, runs in found for run in runs.split(",")}, key=int), _MOST)
+    runs = listed(sorted({run for _, runs in found for run in runs.split(",")}, key=int), _MAX_RUNS)
     return (
         f"Killed from outside, and their work tried again: {counted(len(found), 'worker')} ({hows}); runs under way: "
         f"{runs} ({LOG})."

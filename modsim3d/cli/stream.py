@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modsim3d.scene.scene import Scene
 
 WAIT_S = 60.0
-LONGEST_WAIT_S = 100_000
+MAX_WAIT_S = 100_000
 
 
 def stream_command(
@@ -62,8 +62,8 @@ def _address(to: str, timeout: float | None) -> Address | None:
     """Address at which readers connect; None for standard output."""
     from modsim3d.runs.stream_lines import STANDARD_OUTPUT, Address
 
-    if timeout is not None and not 0 < timeout <= LONGEST_WAIT_S:
-        raise ModsimError(f"--timeout {timeout:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S}")
+    if timeout is not None and not 0 < timeout <= MAX_WAIT_S:
+        raise ModsimError(f"--timeout {timeout:g}: give a number of seconds above 0, at most {MAX_WAIT_S}")
     if to != STANDARD_OUTPUT:
         return Address.parse(to)
     if timeout is not None:

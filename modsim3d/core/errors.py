@@ -9,7 +9,7 @@ from pathlib import Path
 from traceback import walk_tb
 from types import FrameType, TracebackType
 
-MAX_LINES, LONGEST_LINE = 500, 2000  # names in an input may be a megabyte long, and each of a million entries wrong
+MAX_LINES, MAX_LINE_LENGTH = 500, 2000  # names in an input may be a megabyte long, and each of a million entries wrong
 _OPTION = re.compile(r"--([a-z][a-z-]*)( (?=[A-Z]|-?\d))?")  # with the space before a number or what stands for a value
 
 
@@ -58,8 +58,8 @@ def _shortened(problems: Iterable[str]) -> tuple[str, ...]:
     lines = list(problems)
     if len(lines) > MAX_LINES + 1:
         lines = [*lines[:MAX_LINES], f"… and {len(lines) - MAX_LINES:,} more"]
-    half = LONGEST_LINE // 2
-    return tuple(line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}" for line in lines)
+    half = MAX_LINE_LENGTH // 2
+    return tuple(line if len(line) <= MAX_LINE_LENGTH else f"{line[:half]} … {line[-half:]}" for line in lines)
 
 
 class RendererError(ModsimError):

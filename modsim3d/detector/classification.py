@@ -54,7 +54,7 @@ class ConfusionClassifier:
             usual = 1 - _miss_rates(self.distributions)[state, targets.label]
             detected = uniforms < seen
             # Up to `seen` the number is stretched over the labels' share of the column, which it must not leave.
-            stretched = np.minimum(uniforms * (usual / np.maximum(seen, _LEAST)), np.nextafter(usual, 0))
+            stretched = np.minimum(uniforms * (usual / np.maximum(seen, _MIN_CHANCE)), np.nextafter(usual, 0))
             uniforms = np.where(detected, stretched, 1.0)
         label = choose(self.distributions[state, targets.label], uniforms)
         return np.where(label >= self.distributions.shape[1], -1, label)
@@ -74,7 +74,7 @@ class ConfusionClassifier:
         return np.where(found, label, -1), on_grid(np.clip(level, 0, 1 - GRID))
 
 
-_LEAST = 1e-300
+_MIN_CHANCE = 1e-300
 
 
 def _miss_rates(distributions: Array) -> Array:

@@ -20,7 +20,7 @@ from modsim3d.io.input_files import note_input, read_text
 from modsim3d.io.misreadings import LOST, ROUNDED, SCIENTIFIC, are_rounded, has_lost_digits, no_commas
 from modsim3d.io.validation import nearest, shown
 
-_MOST = 10  # rows that are named; the others are counted
+_MAX_ROWS = 10  # rows that are named; the others are counted
 
 
 @dataclass
@@ -39,7 +39,7 @@ class RowProblems:
         rows = np.flatnonzero(bad)
         self._wrong.update(rows.tolist())
         number = rows if alike is None else alike[rows]
-        for first in np.sort(np.unique(number, return_index=True)[1])[:_MOST].tolist():
+        for first in np.sort(np.unique(number, return_index=True)[1])[:_MAX_ROWS].tolist():
             same = rows[number == number[first]].tolist()
             more = f", and in {counted(len(same) - 1, f'more {self.word}')}" if len(same) > 1 else ""
             self._found.setdefault(same[0], (say(same[0]) + more, {*same}))
@@ -48,7 +48,7 @@ class RowProblems:
         """End a stage. Raises InputError if there are wrong rows."""
         if not self._wrong:
             return
-        told = sorted(self._found)[:_MOST]
+        told = sorted(self._found)[:_MAX_ROWS]
         lines = [f"{self.word} {self.line[row]}: {self._found[row][0]}" for row in told]
         if more := len(self._wrong.difference(*(self._found[row][1] for row in told))):
             lines.append(f"… and {more:,} more {self.word}s")

@@ -16,7 +16,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath
 from modsim3d.io.input_files import data_folder
 
-LEAST, MOST = 1e-9, 1e9  # of the size of a number that is no place and no time, so that products do not overflow
+MIN_NUMBER, MAX_NUMBER = 1e-9, 1e9  # sizes of numbers that are no place and no time, so that products do not overflow
 
 
 class Limits:
@@ -52,14 +52,14 @@ HORIZON = NeedText("a row, or x and y of two points, as in [0, 400, 1920, 410], 
 
 
 def _not_tiny(value: float) -> float:
-    if 0 < value < LEAST:
-        raise ValueError(f"{value:g} is too small to calculate with: at least {LEAST:g}")
+    if 0 < value < MIN_NUMBER:
+        raise ValueError(f"{value:g} is too small to calculate with: at least {MIN_NUMBER:g}")
     return value
 
 
-Number = Annotated[float, Limits(allow_inf_nan=False, ge=-MOST, le=MOST)]
-Positive = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, gt=0, le=MOST)]
-NotNegative = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, ge=0, le=MOST)]
+Number = Annotated[float, Limits(allow_inf_nan=False, ge=-MAX_NUMBER, le=MAX_NUMBER)]
+Positive = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, gt=0, le=MAX_NUMBER)]
+NotNegative = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, ge=0, le=MAX_NUMBER)]
 Probability = Annotated[float, Limits(ge=0, le=1)]
 Count = Annotated[int, Limits(ge=0)]
 MAX_COORDINATE_M = 1e9  # far beyond any scene; squares and products do not overflow
@@ -92,7 +92,7 @@ def join_path(*parts: object) -> str:
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint: the known name that was probably meant, or the known names."""
     name, names = str(name), [str(candidate) for candidate in known]
-    likely = names[:MAX_COMPARED] if len(name) <= LONGEST_COMPARED else []
+    likely = names[:MAX_COMPARED] if len(name) <= MAX_COMPARED_LENGTH else []
     by_small = {candidate.lower(): candidate for candidate in reversed(likely)}
     if close := difflib.get_close_matches(name.lower(), by_small, n=1):
         return f"did you mean '{by_small[close[0]]}'?"
@@ -152,7 +152,7 @@ _WORDS = {  # of each type of error, for readers of YAML: pydantic's own message
 _OTHER = "is not what is needed here"  # a type of error that only a plug-in's model can have
 
 MAX_PROBLEMS = 50  # most problems that are reported of one section
-MAX_COMPARED, LONGEST_COMPARED = 1000, 100
+MAX_COMPARED, MAX_COMPARED_LENGTH = 1000, 100
 """Names that are compared with a wrong one, and their length: comparing takes time by the square of the length."""
 _KINDS = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", dict: "a mapping"}
 

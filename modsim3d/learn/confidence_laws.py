@@ -13,7 +13,7 @@ from modsim3d.detector import confidence
 from modsim3d.detector.chain import model_name
 from modsim3d.detector.confidence import LEVELS, SCORES, clipped_sums, fit_clipped, pair_likelihood
 from modsim3d.detector.confidence import ConfidenceLaw as Law
-from modsim3d.io.validation import LEAST
+from modsim3d.io.validation import MIN_NUMBER
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, widened
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeFit, SlopeForm, product_limit, shift_of
 from modsim3d.learn.matches import Outcomes
@@ -72,7 +72,7 @@ class LearnedNormal:
         if not np.isfinite(self.mean.estimate):
             return {"quantiles": [self.threshold, 1.0]}
         std = digits(self.std.estimate)
-        return {"mean": digits(self.mean.estimate), "std": std if std >= LEAST else 0.0}
+        return {"mean": digits(self.mean.estimate), "std": std if std >= MIN_NUMBER else 0.0}
 
     @property
     def law(self) -> confidence.ConfidenceLaw:
@@ -214,7 +214,7 @@ def quantile_scores(scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, 
 _STEP = 1e-4  # levels that a single confidence may have, above which its number counts as open between them
 _GRID, _ROUNDS, _NEAR = 40, 30, 1e-3
 _MAX_STEP, _SETTLED = 0.3, 1e-5
-_SHORTEST, _LONGEST = 0.05, 1000.0  # bounds of correlation times, in multiples of the usual time between sightings
+_MIN_TIMES, _MAX_TIMES = 0.05, 1000.0  # bounds of correlation times, in multiples of the usual time between sightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +303,7 @@ class ConsecutiveScores:
         steps = self._known_before
         if not len(steps):
             return None
-        low, high = np.log(float(np.median(steps.apart_s)) * np.array([_SHORTEST, _LONGEST]))
+        low, high = np.log(float(np.median(steps.apart_s)) * np.array([_MIN_TIMES, _MAX_TIMES]))
         tried = [np.array([at, 0.0]) for at in np.linspace(low, high, _GRID)]
         best = max(tried, key=lambda at: float(self._likelihood(steps, at).sum()))
         for _ in range(_ROUNDS):

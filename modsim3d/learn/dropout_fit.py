@@ -340,6 +340,6 @@ def label_memory_s(observed: Outcomes) -> float:
     if by_chance >= 1 - 1e-9:
         return 0.0
     agree = float((seen_as[earlier[both]] == seen_as[later[both]]).mean())
-    kept = min((agree - by_chance) / (1 - by_chance), lags.GREATEST_SHARE)
+    kept = min((agree - by_chance) / (1 - by_chance), lags.MAX_SHARE)
     errors = np.sqrt(by_chance * (1 - by_chance) / both.sum()) / (1 - by_chance)
     return float(-np.median(apart_s[both]) / np.log(kept)) if kept > SIGNIFICANT * errors else 0.0

@@ -18,7 +18,7 @@ from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Kind, Resampling, from
 
 THINGS_NEEDED = 20  # things that a share which each of them keeps is learned from
 _GRID, _BINS = 64, 256
-_LARGEST = 0.99
+_MAX_LEVEL = 0.99
 _LONG = 3.0  # correlation times that the longest times between last, so that a share is told from a long memory
 
 Compare = Callable[[Indices, Indices], tuple[Array, Array]]
@@ -100,7 +100,7 @@ class LagTable:
     def uncrowded(self, ratios: Array) -> Array:
         """Ratios (rows, b) with what the mean of all sightings took: its part of the longest third's level is added."""
         late = slice(-max(len(self.lag_s) // 3, 1), None)
-        level = np.clip(np.average(ratios[:, late], axis=1, weights=self.weight[late]), 0, _LARGEST)
+        level = np.clip(np.average(ratios[:, late], axis=1, weights=self.weight[late]), 0, _MAX_LEVEL)
         taken = (self.crowding * level / (1 - self.crowding * (1 - level)))[:, None]
         return ratios * (1 - taken) + taken
 
@@ -111,7 +111,7 @@ class LagTable:
         kept = self._kept(grid, whole)
         lost = 1 - kept
         level = (found @ (weight * lost).T - (weight * lost * kept).sum(axis=1)) / (weight * lost**2).sum(axis=1)
-        level = np.clip(level, 0, _LARGEST)
+        level = np.clip(level, 0, _MAX_LEVEL)
         misfit = (weight * (found[:, None] - kept - level[..., None] * lost) ** 2).sum(axis=-1)
         best = misfit.argmin(axis=1)
         rows, inner = np.arange(len(found)), np.clip(best, 1, _GRID - 2)
@@ -201,9 +201,9 @@ def _lags(longest: int) -> list[int]:
 LATENT_SHARES = np.linspace(0, 0.99, 100)
 _CHANCES = 50
 _TIMES_APART = 4.0
-_LONGEST = 3.0  # correlation times that the longest times between must last
+_MIN_TIMES = 3.0  # correlation times that the longest times between must last
 _EXACT = 1e3  # weight of the sum of all shares, which is one, against that of the lags
-GREATEST_SHARE = 0.95
+MAX_SHARE = 0.95
 
 
 def latent_share(chance: Array) -> Callable[[Array], Array]:
@@ -229,7 +229,7 @@ def memory_shares(table: LagTable, latent: Callable[[Array], Array], resampling:
     turns the correlation of residuals into that of the numbers behind them. Replicates spread at least as when single
     things are left out."""
     first = float(table.lag_s[0])
-    parts = 1 + int(np.log(max(table.lag_s[-1] / _LONGEST / first, 1.0)) / np.log(_TIMES_APART))
+    parts = 1 + int(np.log(max(table.lag_s[-1] / _MIN_TIMES / first, 1.0)) / np.log(_TIMES_APART))
     times_s = first * np.array([_TIMES_APART**part for part in range(parts)])
     found, without = (
         _shares(table, latent(table.uncrowded(ratios)), times_s)
@@ -257,5 +257,5 @@ def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
     system = np.vstack([weight * design, np.full((1, design.shape[1]), _EXACT)])
     shares = np.stack([optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation])
     shares = np.asarray(shares / np.maximum(shares.sum(axis=1), 1.0)[:, None])
-    shares[:, 0] = np.minimum(shares[:, 0], GREATEST_SHARE)
+    shares[:, 0] = np.minimum(shares[:, 0], MAX_SHARE)
     return shares

@@ -24,7 +24,7 @@ from modsim3d.learn.states import StateMap, Transitions
 
 # ---- True detections that are lost because their boxes lie too far off ----
 
-_MOST = 0.5
+_MAX_SHARE = 0.5
 
 
 def gate_warning(labelled: LabelledSet, matched: Matching, rule: Rule) -> str | None:
@@ -37,7 +37,7 @@ def gate_warning(labelled: LabelledSet, matched: Matching, rule: Rule) -> str | 
         return _of_own_vessels(labelled, matched, rule, labelled.results.origin, recall)
     missed = matched.sought & (matched.detection < 0)
     near, found = len(_overlapped(labelled, np.flatnonzero(missed), matched.false)), len(matched.pairs[0])
-    if near <= _MOST * (near + found):
+    if near <= _MAX_SHARE * (near + found):
         return None
     return (
         f"{near:,} of {np.count_nonzero(missed):,} missed annotations overlap a false positive, and only {found:,} "
@@ -50,7 +50,7 @@ def _of_own_vessels(labelled: LabelledSet, matched: Matching, rule: Rule, origin
     rows = np.flatnonzero(matched.counts & (origin >= 0))
     good, _ = fits(labelled, rows, origin[rows], rule)
     lost = int(np.count_nonzero(~good))
-    if lost <= _MOST * len(rows):
+    if lost <= _MAX_SHARE * len(rows):
         return None
     far = f"have IoU below {rule.least_iou:g} with their own vessel"
     if rule.method == "centre":

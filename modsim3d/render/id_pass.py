@@ -31,7 +31,7 @@ VIEWPORT_PX = 16384
 corners of what is drawn: OpenGL then cuts no edges, which would move corners. Images of up to 12,000 px with corners at
 most 2048 px outside fit; in a wider supersampled image, edges far outside a tile may be cut."""
 MAX_REGION_PX = 12_288
-SMALLEST_BUFFER_PX = 64
+MIN_BUFFER_PX = 64
 NO_AREA_PX = 1e-9  # triangles of less than half of this area in square pixels have no gradient of depth
 KEPT_BUFFERS_PX = 12_000_000  # buffers are kept and used again until together they have more pixels than this
 
@@ -224,7 +224,7 @@ def _planes(corners_px: Array, inverse_depth: Array) -> Array:
 
 def _buffer_side(pixels: int) -> int:
     """A buffer side that is at most a quarter larger, out of four sizes between a power of two and the next."""
-    step = max(SMALLEST_BUFFER_PX, (1 << (pixels - 1).bit_length()) // 8)
+    step = max(MIN_BUFFER_PX, (1 << (pixels - 1).bit_length()) // 8)
     return -(-pixels // step) * step
 
 

@@ -16,8 +16,8 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import (
     MAX_COORDINATE_M,
+    MAX_NUMBER,
     MAX_PROBLEMS,
-    MOST,
     Limits,
     Metres,
     NeedText,
@@ -87,7 +87,7 @@ def upper_triangular(matrix: MatrixRows) -> MatrixRows:
     return matrix
 
 
-Angle = Annotated[float, Limits(_radians, allow_inf_nan=False, ge=-MOST, le=MOST)]
+Angle = Annotated[float, Limits(_radians, allow_inf_nan=False, ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Tilt = Annotated[Number, AfterValidator(_tilt)]
 AngleSpread = Annotated[NotNegative, AfterValidator(_tilt)]
 MAX_IMAGE_SIDE_PX = 12_000
@@ -313,7 +313,7 @@ class ObstacleKeys(Strict):
 class LookKeys(Strict):
     """Weather in which a performance state of the detector is drawn. It changes no data."""
 
-    visibility_m: Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MOST)] | None = None
+    visibility_m: Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MAX_NUMBER)] | None = None
     overcast: Annotated[bool, Field(strict=True)] = False
     rain: Annotated[bool, Field(strict=True)] = False
     dusk: Annotated[bool, Field(strict=True)] = False

@@ -11,7 +11,7 @@ from typing import Any
 from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import MAX_YAML_BYTES, read_text
 from modsim3d.io.strict_text import parse_yaml
-from modsim3d.io.validation import MOST, shown
+from modsim3d.io.validation import MAX_NUMBER, shown
 from modsim3d.scene.keys import ANGLES, LENSES, MAX_IMAGE_SIDE_PX, CameraKeys, MatrixRows, upper_triangular
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
@@ -108,7 +108,7 @@ def _numbers(data: Mapping[str, Any], key: str, counts: Sequence[int]) -> list[f
     entry: Any = given.get("data") if isinstance(given, dict) else given
     rows = entry if isinstance(entry, list) else [entry]
     values: list[Any] = [value for row in rows for value in (row if isinstance(row, list) else [row])]
-    if len(values) not in counts or not all(type(each) in (int, float) and abs(each) <= MOST for each in values):
+    if len(values) not in counts or not all(type(each) in (int, float) and abs(each) <= MAX_NUMBER for each in values):
         needed = " or ".join(", ".join(map(str, counts)).rsplit(", ", 1))
         raise ValueError(f"{key}: {needed} numbers are needed (got {len(values)}: {shown(entry)})")
     return [float(value) for value in values]

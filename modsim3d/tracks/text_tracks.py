@@ -218,7 +218,7 @@ def _nearest(times_s: Array, wanted_s: Array) -> Indices:
 
 
 _FIRST = ("frame", "identity", *MOT.names, "confidence")
-_LEAST = 6
+_MIN_CELLS = 6
 _NO_CONFIDENCE = -1
 _DATA = "data"  # the folder inside that of a tracker in which evaluators look for its files
 
@@ -261,9 +261,9 @@ def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
     text, source = read_text(path, "tracks"), source_of(path)
     begin = next(filter(str.strip, text.splitlines()), ",".join(_FIRST))
     cells = begin.count(",") + 1
-    if cells < _LEAST:
+    if cells < _MIN_CELLS:
         form = f"frame,identity,{','.join(MOT.names)}"
-        raise InputError(source, [f"a line must have at least {_LEAST} numbers with commas between them: {form}"])
+        raise InputError(source, [f"a line must have at least {_MIN_CELLS} numbers with commas between them: {form}"])
     further = (f"number {index}" for index in range(len(_FIRST) + 1, cells + 1))
     table = TextTable.of(text, [*_FIRST, *further][:cells], source)
     many = len(table)

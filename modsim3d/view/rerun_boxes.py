@@ -239,7 +239,7 @@ def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, sl
 
 MAX_NAMES = 10  # names of more vessels would lie on each other; they are shown for the vessel under the pointer
 MAX_FACES = 5000  # a hull with more faces would make a large file; it is left out, and its box stays
-NEAREST = 0.4  # the share of the vessels that are seen at first
+NEAR_SHARE = 0.4  # the share of the vessels that are seen at first
 IMAGE_SHARE = 0.15  # how wide the image before a camera is, as a share of the traffic's extent
 
 
@@ -259,7 +259,7 @@ def first_eye(log: Log) -> Eye:
     at, looks = view_of(scene, scene.cameras[0], 0)
     there = poses.positions_m[0, poses.present[0], :2]
     distance = np.linalg.norm(there - at, axis=1)
-    near = there[distance <= np.quantile(distance, NEAREST)] if len(there) else there
+    near = there[distance <= np.quantile(distance, NEAR_SHARE)] if len(there) else there
     points = np.vstack([at, near])
     middle, span = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 50.0)
     ahead = looks[len(looks) // 2] if looks[len(looks) // 2].any() else np.array([1.0, 0.0])

@@ -117,7 +117,7 @@ BEAM_PER_DRAUGHT = 3.0  # our choice; merchant ships have 2.3 to 3.8, small craf
 BEAM_PER_METACENTRIC_HEIGHT = 10.0  # our choice; roll periods of 4 to 6 s for boats and 10 to 15 s for large ships
 ROLL_DAMPING = 0.1  # of critical damping; our choice between a bare hull (0.05) and bilge keels under way (0.2)
 LONG_WAVE = 0.02  # phase over half a side, in radians, below which two terms of a series are exact to nine digits
-LONGEST_M = 400.0  # greatest length in the roll period, whose fit has no longer ships
+MAX_LENGTH_M = 400.0  # greatest length in the roll period, whose fit has no longer ships
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Hull:
     @property
     def roll_period_s(self) -> float:
         """Natural period 2 C B / √GM with C = 0.373 + 0.023 B / d − 0.043 L / 100."""
-        radius = 0.373 + 0.023 * BEAM_PER_DRAUGHT - 0.043 * min(self.length_m, LONGEST_M) / 100
+        radius = 0.373 + 0.023 * BEAM_PER_DRAUGHT - 0.043 * min(self.length_m, MAX_LENGTH_M) / 100
         return 2 * radius * self.beam_m / math.sqrt(self.beam_m / BEAM_PER_METACENTRIC_HEIGHT)
 
 

@@ -33,7 +33,7 @@ _BY_ENDING: dict[str, tuple[Change, ...]] = {
     **dict.fromkeys((".png", ".jpeg", ".bmp", ".webp", ".tiff"), (binaries.change_image,)),
 }
 _SPOILS_ALL, _FINISHED = 0.05, 0.75
-_LARGEST, _LARGEST_PACKED = 2_000_000, 30_000
+_MAX_BYTES, _MAX_PACKED_BYTES = 2_000_000, 30_000
 """Several changes could repeat a file to gigabytes, and a larger packed file is a bomb already."""
 
 
@@ -78,7 +78,7 @@ def _spoil(rng: random.Random, files: Files) -> None:
             changed = _changed(rng, name, content, others)
         except Exception:  # what an earlier change left is nested too deeply, say, to be changed as what it was
             changed = change_bytes(rng, content, others)
-        files[name] = changed if changed is None or len(changed) <= _LARGEST else content
+        files[name] = changed if changed is None or len(changed) <= _MAX_BYTES else content
 
 
 def _changed(rng: random.Random, name: str, content: bytes, others: list[bytes]) -> bytes | None:
@@ -86,7 +86,7 @@ def _changed(rng: random.Random, name: str, content: bytes, others: list[bytes])
         return rng.choice((change_whole, change_whole, change_whole, change_packed))(rng, content, others)
     path = PurePosixPath(name)
     packed = path.suffix == ".gz"
-    if packed and len(content) > _LARGEST_PACKED:
+    if packed and len(content) > _MAX_PACKED_BYTES:
         return content
     if packed and rng.random() < 0.85:
         try:
@@ -100,7 +100,7 @@ def _changed(rng: random.Random, name: str, content: bytes, others: list[bytes])
 
 
 FOLDER = Path(__file__).parent / "kept"
-LARGEST = 20_000
+MAX_SIZE = 20_000
 """A larger input is not kept."""
 
 
@@ -121,7 +121,7 @@ def keep(reader: str, cause: str, numbers: list[int]) -> None:
     """Keep the smallest of some cases that failed for one cause, unless such a one is kept."""
     entries = kept_inputs(reader)
     found = sorted((_entry(reader, number, cause) for number in numbers), key=_size)
-    if _size(found[0]) > LARGEST or any(entry["cause"] == cause for entry in entries):
+    if _size(found[0]) > MAX_SIZE or any(entry["cause"] == cause for entry in entries):
         return
     FOLDER.mkdir(exist_ok=True)
     lines = ",\n".join(map(json.dumps, [*entries, found[0]]))  # an input a line

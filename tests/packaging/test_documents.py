@@ -19,7 +19,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^(?P<lead>[^\n]*)\n\n?```(?P<language>\w*)\n(?P<text>.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?:\w+ \| )?modsim3d (?!:)(.*)$", flags=re.MULTILINE)
 SAVED = re.compile(r"[Ss]ave this as `([^`]+)`")
-LONGEST_S = 240
+MAX_S = 240
 SUMMARY = "frames "
 """How the summary of a run begins: what a page shows of one is what its commands print."""
 
@@ -35,7 +35,7 @@ def run_shell(text, folder, prepared):
     path = os.pathsep.join([str(prepared.parent), str(Path(sys.executable).parent), os.environ["PATH"]])
     options = {"cwd": folder, "env": {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}}
     command = ["bash", "-euo", "pipefail", "-c", text]
-    finished = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, **options)
+    finished = subprocess.run(command, capture_output=True, text=True, timeout=MAX_S, **options)
     assert finished.returncode == 0, f"{text}\n{finished.stdout}\n{finished.stderr}"
     return finished.stdout
 

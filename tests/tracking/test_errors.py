@@ -22,7 +22,7 @@ from stonesoup.types.track import Track
 from modsim3d.core.errors import ModsimError
 from modsim3d.tracking.scores import errors
 from modsim3d.tracking.scores.errors import Siap, siap
-from modsim3d.tracking.scores.scored_run import LARGEST_CUTOFF, Rules, SetDistance
+from modsim3d.tracking.scores.scored_run import MAX_CUTOFF, Rules, SetDistance
 from modsim3d.tracks.tracks import Similarity
 from tests.tracking.hand_made import box, hand_made, placed
 
@@ -44,7 +44,7 @@ def test_distances_are_means_over_frames_and_a_larger_power_and_hidden_vessels_h
     squared = Rules(set_distance=SetDistance(cutoff=10, power=2))
     scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=squared)
     assert errors.gospa(scored) == errors.Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
-    largest = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
+    largest = Rules(set_distance=SetDistance(cutoff=MAX_CUTOFF, power=10))
     assert errors.ospa(hand_made([(0, 0, box())], [], 1, rules=largest)).ospa == pytest.approx(1e6)
     scored = hand_made([(0, 0, box(), 0.0)], [(0, 7, box(1))], 1, rules=RULES)
     assert errors.gospa(scored) == errors.Gospa(0, 0, 0, 0) and errors.ospa(scored) == errors.Ospa(0)

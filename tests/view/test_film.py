@@ -251,19 +251,19 @@ def test_the_contact_sheet_can_be_drawn_again_and_a_damaged_table_is_one_error(m
     assert "truth.parquet has " in capsys.readouterr().err
 
 
-MOST = 60
+MAX_RATE = 60
 PACES = [(0.2, 1, 5, 1), (0.1, 1, 10, 1), (0.1, 4, 40, 1), (0.5, 1, 6, 3), (1, 1, 5, 5), (10, 1, 5, 50), (10, 10, 5, 5)]
 
 
 def test_even_steps_give_every_frame_its_time_and_a_film_that_is_too_fast_leaves_frames_out():
     for step_s, speed, rate, each in PACES:
-        table = Timetable.of(np.full(30, step_s), speed, MOST)
+        table = Timetable.of(np.full(30, step_s), speed, MAX_RATE)
         assert table.rate == rate and set(table.repeats.tolist()) == {each}, (step_s, speed)
         assert table.duration_s == pytest.approx(30 * step_s / speed)
-    table = Timetable.of(np.full(1000, 0.01), 1.0, MOST)
-    assert table.rate == MOST and set(table.repeats.tolist()) == {0, 1}
-    assert table.duration_s == pytest.approx(10.0, abs=1 / MOST)
-    assert Timetable.of(np.array([3600.0, 3600.0]), 1.0, MOST).rate >= MIN_RATE
+    table = Timetable.of(np.full(1000, 0.01), 1.0, MAX_RATE)
+    assert table.rate == MAX_RATE and set(table.repeats.tolist()) == {0, 1}
+    assert table.duration_s == pytest.approx(10.0, abs=1 / MAX_RATE)
+    assert Timetable.of(np.array([3600.0, 3600.0]), 1.0, MAX_RATE).rate >= MIN_RATE
 
 
 @given(st.lists(st.floats(0.01, 20.0), min_size=1, max_size=40), st.floats(0.1, 20.0), st.sampled_from([25, 50, 60]))

@@ -167,7 +167,7 @@ def _label_problems(value: list[str]) -> list[str]:
     return [f"label '{name}' appears twice" for name, count in Counter(value).items() if count > 1]
 
 
-GREATEST_FALSE_DISCOVERY_RATE = 0.99
+MAX_FALSE_DISCOVERY_RATE = 0.99
 
 
 def _discovery_problems(value: float) -> list[str]:
@@ -176,10 +176,10 @@ def _discovery_problems(value: float) -> list[str]:
             "is 1, must be below 1: it is the share of false positives among all detections, "
             "and 1 would take infinitely many of them for each true one"
         ]
-    if 0 <= value <= GREATEST_FALSE_DISCOVERY_RATE:
+    if 0 <= value <= MAX_FALSE_DISCOVERY_RATE:
         return []
     return [
-        f"is {value:g}, must be from 0 to {GREATEST_FALSE_DISCOVERY_RATE}, which already makes 99 false positives "
+        f"is {value:g}, must be from 0 to {MAX_FALSE_DISCOVERY_RATE}, which already makes 99 false positives "
         "for each true detection"
     ]
 

@@ -10,13 +10,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 
 from modsim3d.detector.confidence import PrecisionRecall
 from modsim3d.detector.dropout import ATTRIBUTES
-from modsim3d.io.validation import MOST, NotNegative, Number, Positive, Probability, Strict, nearest
+from modsim3d.io.validation import MAX_NUMBER, NotNegative, Number, Positive, Probability, Strict, nearest
 
 MAX_PER_IMAGE = 1000
 """False positives, which all take memory; a detector has a few."""
 PerImage = Annotated[float, Field(strict=True, ge=0, le=MAX_PER_IMAGE)]
 MIN_LIFETIME_S = 0.01
-Lifetime = Annotated[float, Field(strict=True, ge=MIN_LIFETIME_S, le=MOST)]
+Lifetime = Annotated[float, Field(strict=True, ge=MIN_LIFETIME_S, le=MAX_NUMBER)]
 Fraction = Annotated[float, Field(strict=True, ge=0, lt=1)]
 
 

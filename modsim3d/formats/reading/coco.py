@@ -253,7 +253,7 @@ def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: 
 
 
 _MIN_LOST, _MANY_LOST = 1e7, 1e4  # so large a number with so many zeros stands for other identities too
-_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": builder.MAX_NUMBER}
+_MAX_VALUES = {"visible_fraction": 1 + 1e-6, "distance_m": builder.MAX_NUMBER}
 
 
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
@@ -261,7 +261,7 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
     value = entry.get(key)
     if value is None:
         return math.nan
-    if is_number(value, 0, _MOST[key]):
+    if is_number(value, 0, _MAX_VALUES[key]):
         return float(value)
     if not isinstance(value, int | float) or isinstance(value, bool):
         problems.add(f"{where}: {key} must be a number (got {shown(value)})")

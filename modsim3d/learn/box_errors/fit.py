@@ -208,7 +208,7 @@ def _log_density(model: ErrorModel, zeta: Array) -> Array:
 
 
 _STEPS, _ENOUGH = 30, 0.01
-_LONGEST_STEP, _MAX_TIMES, _WORSE = 0.5, 4.0, 1.5
+_MAX_STEP, _MAX_TIMES, _WORSE = 0.5, 4.0, 1.5
 _DIFFERENCE = 0.25
 _HOPE, _MARGIN = 4.0, 10.0
 _MANY_MORE = 1.2
@@ -332,7 +332,7 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float
     information = _expected_information(start, edges)
     unit: Array = 1 / np.sqrt(np.diag(information))  # all numbers in standard errors, so that they are alike
     usual = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
-    inverse, longest = usual, _LONGEST_STEP
+    inverse, longest = usual, _MAX_STEP
     found = slopes(start, edges, gate)
     numbers, score = start.numbers(), found.scores.sum(axis=0)
     for _ in range(_STEPS):

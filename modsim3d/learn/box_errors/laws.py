@@ -229,7 +229,7 @@ def moments(resampling: bootstrap.Resampling, image: Indices, values: Array) -> 
 
 LAWS = ("normal", "student_t")  # distributions of box errors that can be learned, by `box_error.law` in a detector file
 _PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in ERROR_PAIRS)
-_LARGEST_STEP = 5.0
+_MAX_STEP = 5.0
 _SHRUNK = 1e-5
 
 
@@ -312,7 +312,7 @@ def _likeliest(resampling: bootstrap.Resampling, sample: ErrorSample, fit: Error
         inverse = np.asarray(np.linalg.inv(fit.information()), dtype=np.float64)
         steps = resampling.sums(fit.edges.image, fit.slopes().scores) @ inverse
         steps -= steps[0].copy()
-        steps[:, 4:] = np.clip(steps[:, 4:], -_LARGEST_STEP, _LARGEST_STEP)
+        steps[:, 4:] = np.clip(steps[:, 4:], -_MAX_STEP, _MAX_STEP)
     freed = 1.0 if model.heavy else np.sqrt(count / max(count - 1, 1))
     i, j = np.array(ERROR_PAIRS).T
     # What follows the common scale of a vessel's errors persists like that scale does, other spreads like squares.

@@ -153,7 +153,7 @@ def _with(entry: Entry, values: Array) -> Entry:
 
 # ---- How long the detector's errors persist ----
 
-_LEAST = 0.01  # correlation from one frame to the next that a replicate keeps: frames do not tell less from none
+_MIN_CORRELATION = 0.01  # from one frame to the next, that a replicate keeps: frames do not tell less from none
 
 
 def share_left(entry: Entry, part: Array) -> Entry:
@@ -165,7 +165,7 @@ def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
     """The correlation time of errors, less a part (rows,) of all errors that is kept for ever. It was learned from
     frames that follow each other, so their correlation is what must come out."""
     left = np.clip((np.exp(-gap_s / np.maximum(entry.column.values, 1e-9)) - part) / (1 - part), 0, 1)
-    left[1:] = np.maximum(left[1:], _LEAST)
+    left[1:] = np.maximum(left[1:], _MIN_CORRELATION)
     time_s = np.where(left > 0, gap_s / -np.log(np.clip(left, 1e-12, 1 - 1e-12)), 0.0)
     return _with(entry, np.where(part > 0, time_s, entry.column.values))
 

@@ -34,7 +34,7 @@ _FOLDERS = {  # folders that other commands make in a run directory, and the nam
     **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART),
     "report_images": re.compile(r"\d{6}\.jpg"),
 }
-LONGEST_NAME = 255  # bytes that a file system allows
+MAX_NAME_LENGTH = 255  # bytes that a file system allows
 _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parquet", POSES_FILE)
 
 
@@ -112,7 +112,7 @@ def _is_safe(name: str) -> bool:
     path = PurePosixPath(name)
     if path.is_absolute() or not path.parts or path.parts[0] in (UNFINISHED, LOCK_FILE):
         return False
-    return not any(part == ".." or "\0" in part or len(part.encode()) > LONGEST_NAME for part in path.parts)
+    return not any(part == ".." or "\0" in part or len(part.encode()) > MAX_NAME_LENGTH for part in path.parts)
 
 
 def is_of_a_run(content: Any) -> bool:

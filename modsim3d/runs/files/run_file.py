@@ -17,13 +17,13 @@ from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.overwrite import LONGEST_NAME
+from modsim3d.runs.files.overwrite import MAX_NAME_LENGTH
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import CheckCounts
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
-FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$", max_length=LONGEST_NAME)]
+FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$", max_length=MAX_NAME_LENGTH)]
 Estimate = Number | None  # a number, null where too few boxes tell it
 Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
 MAX_PROBLEMS = 5
@@ -109,7 +109,7 @@ class RunFile(RunSettings):
     def _lie_in_the_folder(cls, files: dict[str, FileEntry] | None) -> dict[str, FileEntry] | None:
         for name in files or {}:
             path = PurePosixPath(name)
-            if not name or len(name) > LONGEST_NAME or path.is_absolute() or ".." in path.parts or "\0" in name:
+            if not name or len(name) > MAX_NAME_LENGTH or path.is_absolute() or ".." in path.parts or "\0" in name:
                 raise ValueError(f"{shown(name)} is no path in a run directory")
         return files
 

@@ -75,7 +75,7 @@ def _plain_name(name: str) -> str:
 UNPACKED_BY = {b"PK\x03\x04": "unzip", b"\x28\xb5\x2f\xfd": "zstd -d"}
 SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 LOOKED_AT_LINES = 200  # a log of sentences may begin with comments or sentences of other instruments
-LONGEST_LINE, LOOKED_AT_BYTES = 1 << 20, 1 << 22
+MAX_LINE_BYTES, LOOKED_AT_BYTES = 1 << 20, 1 << 22
 MAX_COLUMNS = 500  # a header with more names is no table of AIS, which have up to thirty; each costs memory in all rows
 SHOWN_COLUMNS = 40
 
@@ -130,7 +130,7 @@ def _first_lines(file: io.BufferedReader) -> Iterator[bytes]:
     """The first lines of a file, as many as are looked at; a line that is very long is cut."""
     left = LOOKED_AT_BYTES
     for _ in range(LOOKED_AT_LINES):
-        line = file.readline(min(LONGEST_LINE, left))
+        line = file.readline(min(MAX_LINE_BYTES, left))
         left -= len(line)
         yield line
 
@@ -163,7 +163,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
     ships have become one."""
     with open_reports(path) as stream:
         first_row, nothing = 2, True  # the header is row 1, or that after blank rows
-        while (line := stream.readline(LONGEST_LINE)) and not line.strip():
+        while (line := stream.readline(MAX_LINE_BYTES)) and not line.strip():
             first_row += 1
         header = header_names(line)
         columns = layout.found(header)
@@ -199,8 +199,8 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         if stop:
             yield rest[:stop]
             rest = rest[stop:]
-        elif len(rest) > LONGEST_LINE:
-            raise InputError(source_of(path), [f"has a row of more than {LONGEST_LINE} bytes: is it a table at all?"])
+        elif len(rest) > MAX_LINE_BYTES:
+            raise InputError(source_of(path), [f"has a row of more than {MAX_LINE_BYTES} bytes: is it a table at all?"])
     if rest:
         yield rest
 

@@ -92,7 +92,7 @@ OTHER_SENTENCE = re.compile(r"[\\!$]")
 POSITIONS, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3, 18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
 PENDING_S = 60.0  # parts of a message that are further apart do not belong together: sequence numbers are used again
 CHUNK_MESSAGES, SHOWN_PROBLEMS = 200_000, 5
-LONGEST_LINE, READ_AT_ONCE = 2048, 1 << 20
+MAX_LINE_BYTES, READ_AT_ONCE = 2048, 1 << 20
 """A sentence has at most 82 characters and a tag block 80; a line of JSON around them takes a thousand. The time
 to search a line grows with its square."""
 MAX_PARTS, MAX_PENDING = 9, 1000
@@ -219,7 +219,7 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
 
     for number, raw in _lines(stream):
         if not raw:
-            rows.drop("too_long", number, f"has sentences, and more than {LONGEST_LINE} bytes")
+            rows.drop("too_long", number, f"has sentences, and more than {MAX_LINE_BYTES} bytes")
         for line in _split(raw.decode("ascii", "replace")):
             try:
                 sentence = NMEASentenceFactory.produce(line.sentence.encode("ascii"))
@@ -246,9 +246,9 @@ def _lines(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         yield from _telling(block[:stop], number)
         number += block.count(b"\n")
         rest = block[stop:]
-        if len(rest) > LONGEST_LINE:
+        if len(rest) > MAX_LINE_BYTES:
             yield from _telling(rest, number)
-            rest = b" " * (LONGEST_LINE + 1)  # enough to know it
+            rest = b" " * (MAX_LINE_BYTES + 1)  # enough to know it
     yield from _telling(rest, number)
 
 
@@ -259,7 +259,7 @@ def _telling(block: bytes, first: int) -> Iterator[tuple[int, bytes]]:
         begin, end = block.rfind(b"\n", 0, at) + 1, block.find(b"\n", at)
         end = len(block) if end < 0 else end
         first, counted = first + block.count(b"\n", counted, begin), begin
-        too_long = end - begin > LONGEST_LINE
+        too_long = end - begin > MAX_LINE_BYTES
         yield from (
             [(first, b"") for _ in START.finditer(block, begin, end)] if too_long else [(first, block[begin:end])]
         )

@@ -101,7 +101,7 @@ def _busiest(places_m: Array, vessels: Indices) -> Array:
 MAX_POSES = 3_000_000  # about 250 MB of JSON, which takes minutes and gigabytes to read again
 EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
 FEW_MOVES = 50  # so many moves are judged together
-DAY_S, SLOWEST = 86_400.0, 0.05  # positions move at more than this share of the speeds that vessels report
+DAY_S, MIN_SPEED_SHARE = 86_400.0, 0.05  # positions move at more than this share of the speeds that vessels report
 UNDER_WAY_KN, WRONG_COURSES, RIGHT_COURSES = 2.0, 0.8, 0.95  # cosines between courses and movements
 
 
@@ -166,7 +166,7 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
     places = local_metres(positions.latitude_deg, positions.longitude_deg, origin)
     moved_m = np.hypot(*(places[one + 1] - places[one]).T).sum()
     said_m = (positions.speed_kn[one + 1] * KNOT_M_S * np.diff(positions.time_s)[one]).sum()
-    if len(one) >= FEW_MOVES and moved_m < SLOWEST * said_m:
+    if len(one) >= FEW_MOVES and moved_m < MIN_SPEED_SHARE * said_m:
         return f"vessels move at {in_percent(moved_m / said_m)} of the speeds that they report: are places in degrees?"
     under_way = one[(positions.speed_kn[one] > UNDER_WAY_KN) & np.isfinite(positions.course_deg[one])]
     if len(under_way) < FEW_MOVES or (np.abs(positions.longitude_deg) > 90).any():

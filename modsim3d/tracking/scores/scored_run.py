@@ -12,7 +12,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TrackMatching, TrueTracks, TruthName, follow
 
-LARGEST_CUTOFF = 1e6  # more than any distance in an image, and its tenth power is still a number
+MAX_CUTOFF = 1e6  # more than any distance in an image, and its tenth power is still a number
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,12 @@ class SetDistance:
 
     def __post_init__(self) -> None:
         """Raise ModsimError if a value is out of range."""
-        if not 0 < self.cutoff <= LARGEST_CUTOFF:
-            raise ModsimError(f"--gospa C: must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
+        if not 0 < self.cutoff <= MAX_CUTOFF:
+            raise ModsimError(f"--gospa C: must be above 0 and at most {MAX_CUTOFF:,.0f} (got {self.cutoff:g})")
         if not 1 <= self.power <= 10:
             raise ModsimError(f"--gospa C:P: must have a power from 1 to 10 (got {self.power:g})")
-        if self.switch is not None and not 0 < self.switch <= LARGEST_CUTOFF:
-            raise ModsimError(
-                f"--gospa C:P:G: must have a G above 0, at most {LARGEST_CUTOFF:,.0f} (got {self.switch:g})"
-            )
+        if self.switch is not None and not 0 < self.switch <= MAX_CUTOFF:
+            raise ModsimError(f"--gospa C:P:G: must have a G above 0, at most {MAX_CUTOFF:,.0f} (got {self.switch:g})")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, Track
 _SIZE_NOISE = 1.5  # noise of width and height over that of the centre: between 1.2 and 1.8 in the shipped detectors
 _SIZE_WALK = 0.2  # share by which a box's size changes in a second
 _FORBIDDEN = 1e6
-_FEWEST = 3  # tracks with a detection from which the turn of the camera is taken
+_MIN_TRACKS = 3  # tracks with a detection from which the turn of the camera is taken
 _TIME_S = 1e-6  # times are differences of rounded ones, maybe since 1970: one that is as long as allowed is not longer
 
 
@@ -107,7 +107,7 @@ class ReferenceTracker(Tracker):
     def _steadied(self, motion: MotionEstimates, frame: SensedFrame) -> MotionEstimates:
         """Moved by what all tracks are off by: the camera has turned."""
         track, found = self._assigned(motion, frame)
-        if len(track) < _FEWEST:
+        if len(track) < _MIN_TRACKS:
             return motion
         off = np.median(centre_form(frame.boxes_px)[found, :2] - motion.place[track, :2], axis=0)
         return replace(motion, place=motion.place + np.append(off, [0, 0]))

@@ -100,7 +100,7 @@ def seen(rows: RunRows) -> Mask:
     return np.not_equal(in_last_frames(rows, rows.truth_frame[visible], rows.truth_vessel[visible], 0), NOBODY)
 
 
-_LEAST = 0.5  # similarity at the gate, 1 for two equal places: then two pairs are better than one, wherever they can be
+_MIN_SIMILARITY = 0.5  # at the gate, 1 for two equal places: then two pairs are better than one, wherever they can be
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +146,8 @@ def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> Wo
         if not len(present) or not len(rows):
             continue  # as in `follow`: such a step lies between two steps and is not the one before
         apart = distances_at(truth, tracks, step, present, rows)
-        alike = np.maximum(1 - (1 - _LEAST) * apart / gate_m, 0)
-        i, j = best_pairs(alike, _LEAST, last[present][:, None] == tracks.track[rows])
+        alike = np.maximum(1 - (1 - _MIN_SIMILARITY) * apart / gate_m, 0)
+        i, j = best_pairs(alike, _MIN_SIMILARITY, last[present][:, None] == tracks.track[rows])
         followed_by[step, present[i]], vessel[first + j] = rows[j], present[i]
         last[:] = NOBODY
         last[present[i]] = tracks.track[rows[j]]

@@ -25,7 +25,7 @@ from modsim3d.view import palette
 # ---- GIF films, written frame by frame with Pillow's encoder ----
 
 TICKS_PER_S = 100  # a GIF counts in hundredths of a second
-LONGEST_TICKS = 0xFFFF  # the longest that a GIF can show a picture; one that lasts longer is stored again
+MAX_TICKS = 0xFFFF  # the longest that a GIF can show a picture; one that lasts longer is stored again
 UNCHANGED = 255  # palette index of a pixel that stays as it was in the picture before
 KEEP = 1  # disposal method of a frame that the next one is drawn over
 
@@ -69,8 +69,8 @@ def write_gif(out: IO[bytes], colours: Image.Image, frames: Iterable[tuple[Image
             difference = ImageChops.difference(before, picture)
             box, changed = difference.getbbox() or box, picture.copy()
             changed.paste(UNCHANGED, mask=difference.point([255, *(0,) * 255], "1"))
-        whole, rest = divmod(sum(ticks for _, ticks in group), LONGEST_TICKS)
-        for ticks in [LONGEST_TICKS] * whole + [rest] * (rest > 0):
+        whole, rest = divmod(sum(ticks for _, ticks in group), MAX_TICKS)
+        for ticks in [MAX_TICKS] * whole + [rest] * (rest > 0):
             options = {"duration": ticks * 1000 // TICKS_PER_S, "disposal": KEEP, "transparency": UNCHANGED}
             out.writelines(getdata(changed.crop(box), box[:2], **options))
         before = picture

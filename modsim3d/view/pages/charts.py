@@ -256,7 +256,7 @@ SHAPES = (  # paths of the shapes that mark the series, around the pen's place; 
     "m-4 -1.4h2.6v-2.6h2.8v2.6h2.6v2.8h-2.6v2.6h-2.8v-2.6h-2.6z",  # plus
 )
 _LETTER_PX = 6.3  # mean width of a letter of a chart
-_LONGEST = 34  # letters of a name at the left of a chart; longer ones are cut
+_MAX_NAME_LENGTH = 34  # letters of a name at the left of a chart; longer ones are cut
 
 
 def marks(axes: Axes, x: Array, y: Array, series: int, opacity: float = 1.0) -> str:
@@ -311,7 +311,7 @@ def forest(
     """Named intervals, one below the other on one axis, with dashed lines at thresholds; `x_label` has the unit."""
     values = [value for _, found in rows for each in found for value in (each.mean, each.low, each.high)]
     low, high = span_of([*values, *thresholds])
-    left = 14 + _LETTER_PX * min(_LONGEST, max((len(name) for name, _ in rows), default=1))
+    left = 14 + _LETTER_PX * min(_MAX_NAME_LENGTH, max((len(name) for name, _ in rows), default=1))
     width, lane = max(430.0, left + 280), 15.0
     scale = (width - left - 14) / (high - low)
     top = y = 22.0
@@ -376,4 +376,4 @@ def _shapes(places: Iterable[tuple[float, float]], series: int, opacity: float =
 
 
 def _cut(name: str) -> str:
-    return html.escape(name if len(name) <= _LONGEST else name[: _LONGEST - 1] + "…")
+    return html.escape(name if len(name) <= _MAX_NAME_LENGTH else name[: _MAX_NAME_LENGTH - 1] + "…")

@@ -20,7 +20,7 @@ _WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
 _UNIT = re.compile(r"(?: ?(?:°|%|px|m|s)(?![^\s,\])]))?[,\])]?")  # behind a number, which it stays with
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
 _LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")  # words such as keys and checksums, which may be broken
-_LONGEST = 28  # letters of a cell that is never broken
+_MAX_CELL_LENGTH = 28  # letters of a cell that is never broken
 NO_NOTES: Mapping[int, str] = MappingProxyType({})
 
 
@@ -153,7 +153,7 @@ def _class(numeric: bool, cell: str = "") -> str:
     """The class of a cell: a number is not broken, one with an interval only before it."""
     if not numeric:
         return ""
-    return ' class="number broken"' if len(cell) > _LONGEST or _INTERVAL.search(cell) else ' class="number"'
+    return ' class="number broken"' if len(cell) > _MAX_CELL_LENGTH or _INTERVAL.search(cell) else ' class="number"'
 
 
 def _label(name: str) -> str:

@@ -214,7 +214,7 @@ def _cut(line: Array, box: Box) -> Array | None:
     return np.array([start + first * step, start + last * step]) if first <= last else None
 
 
-FARTHEST_ROWS = 16  # of text that a label may move away from its box
+MAX_ROWS_AWAY = 16  # of text that a label may move away from its box
 GAP_PX = 2
 COLUMN_COST, OTHER_SIDE_COST, ROW_COST = 0.03, 0.1, 0.06
 """Of the next best column, of the other side of the box, and of a row away from it; to cover a boat costs 1."""
@@ -296,10 +296,10 @@ def _columns(label: Label, width: int) -> tuple[Array, Array]:
 def _rows(label: Label, height: int) -> tuple[Array, Array]:
     """Top edges that a label may have, and what each costs, shapes (k,)."""
     _, y0, _, y1 = label.box
-    away = (height + GAP_PX) * np.arange(1 + FARTHEST_ROWS)
+    away = (height + GAP_PX) * np.arange(1 + MAX_ROWS_AWAY)
     above, below = y0 - height - GAP_PX - away, y1 + GAP_PX + away
     first, second = (below, above) if label.below else (above, below)
-    distance: Array = ROW_COST * np.arange(1.0 + FARTHEST_ROWS)
+    distance: Array = ROW_COST * np.arange(1.0 + MAX_ROWS_AWAY)
     costs = [distance, OTHER_SIDE_COST + distance, np.full(2, OTHER_SIDE_COST)]
     return np.concatenate([first, second, [y0, y1 - height]]), np.concatenate(costs)
 

@@ -209,7 +209,7 @@ def _rings(shape: Any) -> list[list[list[float]]]:
 # ---- The times of a run's shown steps for its player ----
 
 _DECIMAL = re.compile(r"(-?)(\d+)\.(\d+)")
-LONGEST_DIFFERENCE = 2**31
+MAX_DIFFERENCE = 2**31
 MAX_DIGITS = 15  # whole numbers up to here are exact in the browser
 
 
@@ -220,7 +220,7 @@ def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], packing.Columns]:
     if all(map(_DECIMAL.fullmatch, timestamps)):
         units = [_in_units(text, decimals) for text in timestamps]
         differences = np.diff(units, prepend=units[0])
-        exact = max(map(abs, units)) < 10**MAX_DIGITS and np.abs(differences).max(initial=0) < LONGEST_DIFFERENCE
+        exact = max(map(abs, units)) < 10**MAX_DIGITS and np.abs(differences).max(initial=0) < MAX_DIFFERENCE
         if exact and all(said(unit, decimals) == text for unit, text in zip(units, timestamps, strict=True)):
             facts = {"decimals": decimals, "first": units[0]}
             return facts, {"clock": packing.Codes(differences.astype(np.int32), by=packing.ROW_BEFORE)}

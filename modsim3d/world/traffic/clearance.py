@@ -134,7 +134,7 @@ def corners(places: Array, axes: Array, half: tuple[float, float]) -> Array:
 COMFORT, LAND_COMFORT = 0.4, 0.5  # shares of both their lengths that vessels want between them, and to land
 CROWDING = 3.0  # cost of touching, beside those of changes that avoid it; nothing at a comfortable distance
 SMALL_CHANGE = 1.5  # cost up to which a changed track is taken without a look at larger changes
-LONGEST_INTERVAL_S = 1.0
+MAX_INTERVAL_S = 1.0
 LAND_WORK, PAIR_WORK, MAX_WORK = 20, 2_000, 3_000_000_000
 """Comparing a place with land, as other vessels; comparing two vessels at all, as places; and the work that may be done
 for a drive: about a minute."""
@@ -169,10 +169,10 @@ class Waters:
     def during(cls, land: Land, duration_s: float, time_step_s: float, clearance_m: float) -> Waters:
         """Waters for a drive from time 0, compared at the scene's steps or at a few times a step, about a second apart.
         With steps of less than a second only some are compared: least distances hold at all times."""
-        if time_step_s > LONGEST_INTERVAL_S:
-            interval = time_step_s / math.ceil(time_step_s / LONGEST_INTERVAL_S)
+        if time_step_s > MAX_INTERVAL_S:
+            interval = time_step_s / math.ceil(time_step_s / MAX_INTERVAL_S)
         else:
-            interval = time_step_s * math.floor(LONGEST_INTERVAL_S / time_step_s + 1e-9)
+            interval = time_step_s * math.floor(MAX_INTERVAL_S / time_step_s + 1e-9)
         count = math.ceil(duration_s / interval - 1e-9) + 2
         return cls(land, np.arange(count, dtype=np.float64) * interval, interval, clearance_m)
 

@@ -15,7 +15,7 @@ from modsim3d.io.validation import join_path, nearest
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.world.poses.replay import RecordedPoses, check_pose_count
 from modsim3d.world.traffic import lanes
-from modsim3d.world.traffic.clearance import LONGEST_INTERVAL_S, CrowdedSea, Land, Waters, least_gaps
+from modsim3d.world.traffic.clearance import MAX_INTERVAL_S, CrowdedSea, Land, Waters, least_gaps
 from modsim3d.world.traffic.encounters import draw_encounter, encounter_problems
 from modsim3d.world.traffic.keys import LeisureKeys, OwnKeys, TrafficSections
 from modsim3d.world.traffic.lanes import Chart, Craft, between
@@ -198,7 +198,7 @@ def _problems(chart: Chart) -> list[str]:
 
 
 def _too_many(chart: Chart) -> list[str]:
-    keys, duration = chart.keys, max(chart.waters.end_s, LONGEST_INTERVAL_S)
+    keys, duration = chart.keys, max(chart.waters.end_s, MAX_INTERVAL_S)
     means = {f"encounters.{name}.count": float(meeting.count) for name, meeting in keys.encounters.items()}
     for name, lane in keys.lanes.items():
         means[f"lanes.{name}.per_hour"] = lanes.expected_arrivals(keys, lane, duration)[0]

@@ -20,7 +20,7 @@ from modsim3d.scene.scene import Scene
 
 EPOCH_S = 1_577_836_800  # Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute
 NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
-FASTEST_KN = 102.2
+MAX_SPEED_KN = 102.2
 TURN_STEP, MAX_TURN = 4.733, 126  # the rate of turn in °/min is sent as its root times this, and from 708° on as 126
 HEADING_FROM_M = 45.0  # from about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn
 AT_ANCHOR, UNDER_WAY = 1, 0
@@ -39,7 +39,7 @@ def position_fields(station: Station, seen: SensorReadings, row: int, at_rest: b
         "mmsi": station.mmsi,
         "lat": float(seen.latitude_deg[row]),
         "lon": float(seen.longitude_deg[row]),
-        "speed": NO_SPEED if math.isnan(speed) else min(round(10 * speed) / 10, FASTEST_KN),
+        "speed": NO_SPEED if math.isnan(speed) else min(round(10 * speed) / 10, MAX_SPEED_KN),
         "course": NO_COURSE if math.isnan(course) else round(10 * course) % 3600 / 10,
         "second": (EPOCH_S + int(seen.times_s[row])) % 60,
     }

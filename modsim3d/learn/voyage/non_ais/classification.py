@@ -192,7 +192,7 @@ def _stretch(part: str, start_s: float | None) -> TimeSpan | str:
 _SAME_IOU = 0.5
 _NEAR, _MIN_NEAR_PX = 0.25, 5.0  # how far about a vessel its box may be off, in heights of it and in pixels
 _PASSES = 0.5  # the largest share of the life of what passes a vessel in which the two are close
-_MOSTLY = 0.5  # share of a detection that lies in a box which it may be of
+_MIN_INSIDE = 0.5  # share of a detection that lies in a box which it may be of
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +240,7 @@ def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, match
     for there_image, there_px in ((known.image[met], known.boxes_px[met]), passing):
         for row, place in image_pairs(results.image, there_image, number):
             boxes = results.boxes_px[row]
-            inside = intersections(boxes, there_px[place]) >= _MOSTLY * areas(boxes)
+            inside = intersections(boxes, there_px[place]) >= _MIN_INSIDE * areas(boxes)
             found[row[inside & (matched.annotation[row] < 0)]] = True
     found[links.rows[at_the_border(links, labelled)]] = True
     return Crossings(met & ~known.ignored, found)
@@ -289,7 +289,7 @@ def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
         same &= (of_known[rows[near]] & side).any(axis=1)
         common = np.minimum(below[near, 1], bottom) - np.maximum(below[near, 0], top)
         both = np.maximum(below[near, 1], bottom) - np.minimum(below[near, 0], top)
-        if (same & (common >= _MOSTLY * both)).any():
+        if (same & (common >= _MIN_INSIDE * both)).any():
             found.append(place)
     return np.array(found, dtype=np.int64)
 

@@ -20,7 +20,7 @@ from modsim3d.learn.persistence import frame_interval_s
 
 # ---- By how much boxes jump ----
 
-_SMALLEST = 0.25  # share of the matched boxes that are called small; errors of larger ones are often larger in pixels
+_SMALL_SHARE = 0.25  # of the matched boxes that are called small; errors of larger ones are often larger in pixels
 _MIN_CHANGES = 20
 _MUCH_SMALLER = 1 / 3  # smaller boxes, in shares of their side, err by less: nothing shows that errors stay as large
 
@@ -63,7 +63,7 @@ def jitter_of(observed: Outcomes, longest_s: float) -> Jitter:
     side_px = np.sqrt(sizes(pairs.annotated_px[order]).prod(axis=1))
     of_two = np.maximum(side_px[1:], side_px[:-1])[near]
     changes = np.diff(pairs.error_px[order], axis=0)[near]
-    small = of_two <= np.quantile(of_two, _SMALLEST) if len(of_two) else near[:0]
+    small = of_two <= np.quantile(of_two, _SMALL_SHARE) if len(of_two) else near[:0]
     if np.count_nonzero(small) < _MIN_CHANGES:
         return STEADY
     spread = MAD_TO_STD * np.median(np.abs(changes[small]), axis=0)

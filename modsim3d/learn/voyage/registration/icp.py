@@ -53,7 +53,7 @@ class BoxesAtTimes:
 # ---- Detections matched to vessels ----
 
 EDGE_PX = 3.0  # an edge this near the image's border may be cut by it
-FARTHEST = 0.75  # how far from the image's centre, in shares of its size, a point may be by the scene's own lens
+MAX_OFF_CENTRE = 0.75  # how far from the image's centre, in shares of its size, a point may be by the scene's own lens
 SIZE_RATIO = 2.5
 LESS_SURE = 0.5  # a match is clear if it is nearer, by this factor, than the next vessel and the next detection
 
@@ -99,7 +99,7 @@ def predict(model: BoxModel, hiding: HidingBodies, values: Values, times_s: Arra
     usable = np.all((tips > EDGE_PX) & (tips < size - EDGE_PX), axis=-1) & ~hidden
     # A k1 below the scene's folds points from far outside into the image.
     straight = model.pixels(values.changed(k1=0.0), times_s[frame], vessel, corners)
-    usable &= np.all(np.abs(straight / size - 0.5) < FARTHEST, axis=-1)
+    usable &= np.all(np.abs(straight / size - 0.5) < MAX_OFF_CENTRE, axis=-1)
     return Predictions(frame[seen], vessel[seen], boxes[seen], corners[seen], usable[seen])
 
 
@@ -218,7 +218,7 @@ class SightingResiduals:
 # ---- The values that fit matched detections best ----
 
 SOFT = 1.5  # spreads beyond which a residual counts less (the soft loss of `scipy.optimize.least_squares`)
-MOST = 12
+MAX_EVALUATIONS = 12
 STEP = 1e-3  # step of the numerical derivatives, in plausible distances
 MEAN_NAMES = tuple(parameter.name for parameter in MEAN_ERRORS)
 
@@ -308,7 +308,9 @@ def fit(
         return jacobian
 
     first = unknowns.vector(start)
-    found = least_squares(of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MOST)
+    found = least_squares(
+        of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MAX_EVALUATIONS
+    )
     return unknowns.values(found.x, start)
 
 
