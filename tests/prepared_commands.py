@@ -67,7 +67,7 @@ def serve(folder: Path) -> None:
     for model in models(Strict):
         model.model_rebuild()
     typer.main.get_command = functools.cache(typer.main.get_command)
-    commands = [typer.main.get_command(cli._asked(name.split()[0])) for _, name, *_ in cli.COMMANDS]
+    commands = [typer.main.get_command(cli._app_for(name.split()[0])) for _, name, *_ in cli.COMMANDS]
     for command in commands:
         commands += getattr(command, "commands", {}).values()  # of a group, which come after all others
         for parameter in command.params:

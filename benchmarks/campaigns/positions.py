@@ -24,7 +24,7 @@ from modsim3d.detector.records import TRUE
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.curved_sea import horizon_inverse_range, inverse_range
-from modsim3d.runs.locating import MAX_RANGE_ERROR, Attitude, Viewpoints, first_order, locate, points_of, seen_at
+from modsim3d.runs.locating import MAX_RANGE_ERROR, Attitude, Viewpoints, directions, first_order, locate, points_of
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.verify.evidence import CameraEvidence, ManyDetections
@@ -92,7 +92,7 @@ def samples(scene: Scene, part: CameraEvidence, attitude: Attitude) -> Array:
 
 def true_foot(scene: Scene, camera: Camera, poses: CameraPoses, boxes_px: Array) -> tuple[Array, Array]:
     """Bearing and inverse range that true boxes give from true poses."""
-    seen = seen_at(camera, poses, points_of(boxes_px))
+    seen = directions(camera, poses, points_of(boxes_px))
     horizon = horizon_inverse_range(poses.positions_m[:, 2], curved=scene.sea == "curved")
     return seen[:, 0], inverse_range(seen[:, 1], horizon)
 

@@ -18,7 +18,7 @@ from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.search import SearchResult, run_search
 from modsim3d.campaign.search_folder import search_table
-from modsim3d.campaign.verdicts.verdict import Verdict, judged
+from modsim3d.campaign.verdicts.verdict import Verdict, judge
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import Scenes
@@ -67,7 +67,7 @@ def present_state(folder: CampaignFolder) -> CampaignStatus:
     table, total, ended = rows_of(folder), folder.total, folder.finished
     holder = None if ended else holder_of(folder.path)
     left_s, last_s = (None, None) if ended else _times(folder, total - len(table), holder)
-    verdicts = judged(folder.plan, table if ended else complete_batches(folder.plan, table))
+    verdicts = judge(folder.plan, table if ended else complete_batches(folder.plan, table))
     return CampaignStatus(table, total, ended, holder, left_s, last_s, verdicts)
 
 

@@ -248,7 +248,7 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expectation], like: Campaign
         for case in cases_of(plan, requirement):
             known = expected.get(requirement.what)
             if known is None and like is not None and rows is not None:
-                known = _seen(plan, case, requirement, like.plan, rows)
+                known = _earlier_scores(plan, case, requirement, like.plan, rows)
             label = " − ".join(labels_of(plan, case))
             empty = NeededSeeds(place, wording.requirement_text(requirement, case.within), label, case.condition)
             each.append(_with_seeds(empty, plan, requirement, case, known if requirement.share is None else None))
@@ -283,13 +283,13 @@ def _with_seeds(
         return replace(found, why=f"never: {said}")
     if not expected.spread > 0:
         return replace(found, why="never: equal values show nothing of a mean: ask for a share of seeds with `in`")
-    seeds = (_once if once else _sequential)(expected, requirement, limits_of(requirement, plan.keys.score), least)
+    seeds = (_one_look if once else _sequential)(expected, requirement, limits_of(requirement, plan.keys.score), least)
     why = f"for a mean of {wording.rounded(expected.mean)} and a spread of {wording.rounded(expected.spread)}"
     why += f", {counted(expected.lost, 'lost run')} of it left out" * (expected.lost > 0)
     return replace(found, seeds=seeds, why=why if seeds else f"more than {_MAX_SEEDS:,} {why}")
 
 
-def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expectation | None:
+def _earlier_scores(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expectation | None:
     """Mean and spread of an earlier campaign, of the same trackers and values; None with fewer than two seeds."""
     labels, condition = [each.label for each in like.keys.trackers], plan.conditions[case.condition]
     wanted = condition.values, value_of(condition, SCENE)
@@ -303,7 +303,7 @@ def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: Se
     return Expectation(float(means.mean()), float(means.std(ddof=1)), int(runs.lost.sum())) if len(means) > 1 else None
 
 
-def _once(expected: Expectation, requirement: Requirement, limits: tuple[float, float], least: int) -> int:
+def _one_look(expected: Expectation, requirement: Requirement, limits: tuple[float, float], least: int) -> int:
     """The least number of normal values with which the bound of a verdict is beyond the threshold with `POWER`."""
     sign = 1 if requirement.at_least is not None else -1
     greatest = limits[1] if sign > 0 else -limits[0]

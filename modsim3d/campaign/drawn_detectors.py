@@ -136,7 +136,7 @@ def _drawn_group(group: LearnedGroup, rng: np.random.Generator) -> dict[str, Arr
         places = correlated(number.key, estimate.shape)
         z = np.zeros(estimate.shape)
         z[places] = normal[place : (place := place + int(places.sum()))]
-        values[".".join(number.key)] = _drawn(number, z, widen, rng)
+        values[".".join(number.key)] = _draw_number(number, z, widen, rng)
     return values
 
 
@@ -153,7 +153,7 @@ def _correlated_normal(group: LearnedGroup, rng: np.random.Generator) -> Array:
     return root @ rng.standard_normal(size)
 
 
-def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generator) -> Array:
+def _draw_number(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generator) -> Array:
     """A number from standard normal ones of its shape, with a variance that is widened by a factor."""
     estimate = number.values
     if number.kind not in ("share", "rate"):

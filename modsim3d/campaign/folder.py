@@ -98,11 +98,11 @@ def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
             ) from None
         for name in names:
             if there.get(name) != files.get(name) and (name in there or name not in later):
-                said = f"it {_said(there.get(name))}, and in {path} it {_said(files.get(name))}"
+                said = f"it {_file_state(there.get(name))}, and in {path} it {_file_state(files.get(name))}"
                 raise ModsimError(f"{folder / name} was changed after the campaign ended: {said}")
 
 
-def _said(file: ListedFile | None) -> str:
+def _file_state(file: ListedFile | None) -> str:
     return "is missing" if file is None else f"has {file['bytes']} bytes and the checksum {file['sha256']}"
 
 

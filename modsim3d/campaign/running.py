@@ -23,7 +23,7 @@ from modsim3d.campaign.folder import (
     remove_done,
 )
 from modsim3d.campaign.plan import Plan, layer_of
-from modsim3d.campaign.verdicts.verdict import Verdict, judged, repeatable
+from modsim3d.campaign.verdicts.verdict import Verdict, judge, repeatable
 from modsim3d.campaign.work.checking import CheckedCampaign, ConditionFacts
 from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, stored_report, with_cache
 from modsim3d.campaign.workers import Death, Engine
@@ -143,12 +143,12 @@ def run_plan(
             started = time.perf_counter()
             running = _Campaign(campaign, here, None, cache, progress)
             rows = running.rows(running.make(engine))
-            write_results(here, rows, judged(here.plan, rows))
+            write_results(here, rows, judge(here.plan, rows))
             running.log(time.perf_counter() - started)
         check_ended(folder, later=(VERDICTS,))
         remove_done(here)
         table = results_table(here)
-        verdicts = judged(here.plan, table)
+        verdicts = judge(here.plan, table)
         write_verdicts(here, verdicts)
     return CampaignResult(here, table, verdicts)
 
@@ -309,7 +309,7 @@ class _Campaign:
             if stop == len(self._plan):
                 return stop
             rows = self._rows.table()
-            self._verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
+            self._verdicts = judge(self._plan, rows.filter(pc.less(rows["run"], stop)))
             if all(verdict.outcome != "undecided" for verdict in repeatable(self._plan, self._verdicts)):
                 return stop
         return None

@@ -169,7 +169,7 @@ class _Trials:
         return self.rows[-len(runs) :]
 
     def _known(self, row: dict[str, Any], task: Task) -> dict[str, Any]:
-        row = search_folder.told_apart(row, task.runs[0], self._scenes)
+        row = search_folder.trial_row(row, task.runs[0], self._scenes)
         self._crashed += row["status"] == CRASHED
         return row
 

@@ -102,7 +102,7 @@ def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[TriedPoi
 
     space = distributions(search)
     own_seed = int(digest("search", seed, batch)[:8], 16)
-    with _quiet():
+    with _silence():
         study = optuna.create_study(
             direction="minimize" if search.minimise is not None else "maximize",
             sampler=optuna.samplers.TPESampler(seed=own_seed, multivariate=True, constant_liar=True),
@@ -126,7 +126,7 @@ def _trial(tried: TriedPoint, search: SearchKeys) -> FrozenTrial:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence() -> Iterator[None]:
     from optuna import logging
 
     before = logging.get_verbosity()
@@ -168,7 +168,7 @@ def refusal(run: PlannedRun, scenes: Scenes) -> str | None:
     return None
 
 
-def told_apart(row: Mapping[str, Any], run: PlannedRun, scenes: Scenes) -> dict[str, Any]:
+def trial_row(row: Mapping[str, Any], run: PlannedRun, scenes: Scenes) -> dict[str, Any]:
     """The row of a trial, in which a refused one is told apart from a crash."""
     alive = row["error"] != DIED  # what ended a worker is not tried in this process
     if row["status"] == CRASHED and alive and (said := refusal(run, scenes)) is not None:
@@ -233,7 +233,7 @@ def search_table(folder: CampaignFolder) -> pa.Table:
     for run in stored_trials(folder):
         if (row := done_row(Task(folder.work, (run,)))) is not None:
             runs.append(run)
-            rows.append(told_apart(row, run, scenes))
+            rows.append(trial_row(row, run, scenes))
     return trials_table(runs, rows, search)
 
 

@@ -116,7 +116,7 @@ def campaign_table_command(
     from modsim3d.campaign.campaign import complete_batches, rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
     from modsim3d.campaign.means import REQUIRED, mean_rows, mean_table, usual_keys, usual_scores, with_required
-    from modsim3d.campaign.verdicts.verdict import judged
+    from modsim3d.campaign.verdicts.verdict import judge
     from modsim3d.campaign.verdicts.wording import score_name
     from modsim3d.core.document import Text
     from modsim3d.io.overwrite_guard import claimed
@@ -138,7 +138,7 @@ def campaign_table_command(
         if out is not None:
             _write(out, table if runs else flat_table(rows))
     if not runs:
-        verdicts = judged(opened.plan, table if opened.finished else complete_batches(opened.plan, table))
+        verdicts = judge(opened.plan, table if opened.finished else complete_batches(opened.plan, table))
         shown = with_required(opened.plan, rows, verdicts)
         print_blocks(open_console(), [mean_table(shown, names=score_name), Text(REQUIRED * (shown != rows), "soft")])
     shared.print_written(open_console(), paths)

@@ -60,7 +60,7 @@ def check_scene_command(
     tell_files(loaded.copy.read)
     with timed("looking at it"):
         found = check_scene(loaded, out, overwrite=overwrite)
-    shared.print_line(open_console(), f"{loaded.path}: {_found(found.warnings)}")
+    shared.print_line(open_console(), f"{loaded.path}: {_outcome(found.warnings)}")
     print_table(open_console(), "", _rows(loaded, [*map(str, found.cameras)], [*map(str, found.vessel_types)]))
     for warning in found.warnings:
         warn(warning)
@@ -101,7 +101,7 @@ def _check_detector(path: Path) -> None:
 
     detector = load_detector(path)
     warnings = list(dead_lines(detector))
-    shared.print_line(open_console(), f"{path}: {detector.in_words()}; {_found(warnings)}")
+    shared.print_line(open_console(), f"{path}: {detector.in_words()}; {_outcome(warnings)}")
     print_table(open_console(), "", _state_rows(detector))
     for warning in warnings:
         warn(warning)
@@ -109,7 +109,7 @@ def _check_detector(path: Path) -> None:
     say_json({**said, "states": _state_facts(detector), "warnings": warnings})
 
 
-def _found(warnings: list[str]) -> str:
+def _outcome(warnings: list[str]) -> str:
     return f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
 
 
@@ -284,7 +284,7 @@ def check_repeat_command(run: shared.FinishedRunArgument, workers: shared.Worker
 
 def _print_repetition(repetition: Repetition) -> None:
     console = open_console()
-    print_table(console, "files", [(file.name, _said(file, repetition.listed)) for file in repetition.files])
+    print_table(console, "files", [(file.name, _file_outcome(file, repetition.listed)) for file in repetition.files])
     versions = [(item.name, f"then {item.then or 'none'}", f"now {item.now or 'none'}") for item in repetition.versions]
     print_table(console, "made with other versions", versions)
     wrong, files = sum(not file.same for file in repetition.files), f"{len(repetition.files)} files are"
@@ -294,7 +294,7 @@ def _print_repetition(repetition: Repetition) -> None:
         shared.print_line(console, f"\nall {files} the same", "bold")
 
 
-def _said(file: RepeatedFile, listed: bool) -> str:
+def _file_outcome(file: RepeatedFile, listed: bool) -> str:
     """Outcome for one file."""
     same = "the bytes that were written" if file.stored else "the same bytes"
     made = "" if file.is_input else f"repeated: {file.repeated or same}"

@@ -289,7 +289,7 @@ app = _app_of(COMMANDS)
 
 
 @cache
-def _asked(first: str) -> typer.Typer:
+def _app_for(first: str) -> typer.Typer:
     """The command line with what the first argument names only, since typer takes 2 ms to prepare each command."""
     named = [entry for entry in COMMANDS if entry[1].split()[0] == first]
     return _app_of(named) if named else app
@@ -325,7 +325,7 @@ def _status() -> int:
     try:
         check_memory()
         check_arguments(sys.argv[1:])
-        _asked("".join(sys.argv[1:2]))(prog_name=_program_name(), complete_var=COMPLETE_VARIABLE)
+        _app_for("".join(sys.argv[1:2]))(prog_name=_program_name(), complete_var=COMPLETE_VARIABLE)
     except SystemExit as ended:
         return int(ended.code or 0)
     except ModsimError as error:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from modsim3d.cli.terminal import is_verbose, visible, wrapped
-from modsim3d.core.document import Block, BlockRow, Document, Fold, Heading, Items, Style, Table, Text, Where, shown
+from modsim3d.core.document import Block, BlockRow, Document, Fold, Heading, Items, Style, Table, Text, Where, blocks_at
 from modsim3d.core.text import is_numeric, with_minus
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def print_document(console: Console, document: Document) -> None:
 def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
     """Print blocks; a table with a title of its own has no heading besides."""
     heading = Heading("")
-    for block in shown(blocks, Where.FULL if is_verbose() else Where.BRIEF):
+    for block in blocks_at(blocks, Where.FULL if is_verbose() else Where.BRIEF):
         if isinstance(block, Heading):
             heading = block
             continue

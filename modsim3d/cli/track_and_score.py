@@ -66,7 +66,7 @@ def track_command(
     files = {"image_size": image_size, "frame_rate": frame_rate, "first_frame": first_frame, "labels": labels}
     with detect.opened(run, truth, detections, **files) as stored:
         frames = None if stored.stored is None else stored.settings["counts"]["frames"]
-        chosen = _chosen(tracker, command, timeout)
+        chosen = _track_arguments(tracker, command, timeout)
         with timed("tracks and files"), shared.progress(tracker or command or "reference", frames) as advance:
             result = track_run(stored, out, settings=given, overwrite=overwrite, progress=advance, **chosen)
     tell("tracker", ", ".join(f"{name} {version}" for name, version in result.origin.versions.items()))
@@ -77,7 +77,7 @@ def track_command(
     say_json(track_json(result, stored.scene.name, written))
 
 
-def _chosen(tracker: str | None, command: str | None, timeout: float | None) -> dict[str, Any]:
+def _track_arguments(tracker: str | None, command: str | None, timeout: float | None) -> dict[str, Any]:
     """The arguments of `track_run` for a tracker or a program. Raises ModsimError if both are given, or what is for a
     program is given without one."""
     if command is None:

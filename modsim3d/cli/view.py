@@ -111,7 +111,7 @@ def view_film_command(
     """
     from modsim3d.view.drawings import view_film
 
-    opened = _opened(run, tracks)
+    opened = _open(run, tracks)
     with shared.interruptible("; no film was written"), shared.stoppable(), timed("film"):
         film = view_film(**shared.arguments(context, view_film, run=opened), bar=_film_bar)
     _say("film", film, 1)
@@ -159,7 +159,7 @@ def view_frame_command(
     """
     from modsim3d.view.drawings import view_frame
 
-    opened = _opened(run, tracks)
+    opened = _open(run, tracks)
     with timed("picture"):
         picture = view_frame(**shared.arguments(context, view_frame, run=opened))
     what, aligned = ("ID buffer", 1) if kind == "id_buffer" else ("picture", 0)
@@ -185,7 +185,7 @@ def view_map_command(
     """
     from modsim3d.view.drawings import view_map
 
-    opened = _opened(run, tracks)
+    opened = _open(run, tracks)
     with timed("map"):
         _say("map", view_map(**shared.arguments(context, view_map, run=opened)))
 
@@ -197,7 +197,7 @@ def view_sheet_command(run: shared.RunArgument, overwrite: shared.OverwriteOptio
     """
     from modsim3d.view.drawings import view_sheet
 
-    opened = _opened(run)
+    opened = _open(run)
     with timed("contact sheet"):
         _say("contact sheet", view_sheet(opened, overwrite=overwrite))
 
@@ -205,7 +205,7 @@ def view_sheet_command(run: shared.RunArgument, overwrite: shared.OverwriteOptio
 # ---- What they share ----
 
 
-def _opened(run: Path, tracks: Path | None = None) -> StoredRun:
+def _open(run: Path, tracks: Path | None = None) -> StoredRun:
     """The run; which steps of an interrupted one are drawn is told."""
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.selection import span

@@ -144,7 +144,7 @@ class Document:
 
     def notebook(self) -> str:
         """HTML for a notebook: the outcome and the blocks that are for one."""
-        return "".join(map(_in_notebook, shown([*self.lead, *self.blocks], Where.NOTEBOOK)))
+        return "".join(map(_in_notebook, blocks_at([*self.lead, *self.blocks], Where.NOTEBOOK)))
 
 
 class Result:
@@ -178,7 +178,7 @@ def _brief(value: object) -> str:
 
 
 def _lines(blocks: Iterable[Block], where: Where = Where.BRIEF) -> Iterator[str]:
-    for block in shown(blocks, where):
+    for block in blocks_at(blocks, where):
         match block:
             case Heading() | Text():
                 yield from wrap(block.text, 100)
@@ -193,12 +193,12 @@ def _lines(blocks: Iterable[Block], where: Where = Where.BRIEF) -> Iterator[str]
                 yield from ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
-def shown(blocks: Iterable[Block], where: Where) -> list[Block]:
+def blocks_at(blocks: Iterable[Block], where: Where) -> list[Block]:
     """Blocks that a place shows: nothing that is empty, and no heading with nothing below it."""
     kept: list[Block] = []
     for block in reversed(list(blocks)):
         if isinstance(block, Fold | BlockRow):
-            block = replace(block, blocks=shown(block.blocks, where))
+            block = replace(block, blocks=blocks_at(block.blocks, where))
         if where not in block.where or not _content(block):
             continue
         headings = [each for each in kept[-1:] if isinstance(each, Heading)]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def put_in_place(path: Path) -> Iterator[Path]:
     """A path to write a file to; the file gets its final name when it is complete, and is removed on an error. Raises
     OutputError if the file cannot be written."""
-    with ExitStack() as writing, _told_of(path):
+    with ExitStack() as writing, _name_file(path):
         yield writing.enter_context(written_whole(path))
         writing.close()
 
@@ -35,10 +35,10 @@ def write_files(contents: Mapping[Path, bytes | str]) -> None:
     Raises OutputError if a file cannot be written."""
     with ExitStack() as places:
         for path, content in contents.items():
-            with _told_of(path):
+            with _name_file(path):
                 make_folder(path.parent)
             partial = places.enter_context(put_in_place(path))
-            with _told_of(path):
+            with _name_file(path):
                 partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
                 sync_file(partial)  # so that all get their places within a moment
 
@@ -66,7 +66,7 @@ def put_folder_in_place(folder: Path, pattern: str) -> Iterator[Path]:
     final, partial = Path(os.path.realpath(folder)), partial_of(folder)
     before = partial.with_name(f".{final.name}.replaced")
     try:
-        with _told_of(folder):
+        with _name_file(folder):
             if before.exists() and not final.exists():
                 before.replace(final)  # a command was killed between the two renames below
             if final.exists() and not all(path.match(pattern) for path in final.iterdir()):
@@ -99,7 +99,7 @@ def partial_of(path: Path) -> Path:
 
 
 @contextmanager
-def _told_of(path: Path) -> Iterator[None]:
+def _name_file(path: Path) -> Iterator[None]:
     """Name a file in errors of its writing; an error that names another file belongs to that one."""
     try:
         yield

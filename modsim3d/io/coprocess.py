@@ -83,7 +83,7 @@ class Coprocess:
         self._wait(lambda: self._ended, f"did not end within {self._timeout_s:g} s after the end of its input")
         said = self._end()
         if self._said:
-            raise self.error(f"it wrote more than was asked: {shown_line(bytes(self._said))}")
+            raise self.error(f"it wrote more than was asked: {quote(bytes(self._said))}")
         if said != "it ended with status 0":
             raise self.error(f"{said} after the end of its input")
 
@@ -148,7 +148,7 @@ class Coprocess:
         return f"{named} ended it"
 
 
-def shown_line(line: bytes) -> str:
+def quote(line: bytes) -> str:
     """A line that a program wrote, cut and without control characters, in quotation marks."""
     text = line.decode("utf-8", "replace").split("\n")[0]
     plain = "".join(each if each.isprintable() else "?" for each in text)

@@ -21,7 +21,7 @@ HOLDER_BYTES = 500
 def locked_folder(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder that is written to; one that is made for it and stays empty is removed again. Raises
     OutputError if another process writes to the folder, and OSError if the folder or the lock in it cannot be made."""
-    with _made_for_it(folder), _locked(folder / LOCK_FILE, folder):
+    with _new_folder(folder), _locked(folder / LOCK_FILE, folder):
         yield
 
 
@@ -45,7 +45,7 @@ def locked_file(path: Path) -> Iterator[None]:
     """Hold the lock of a file that is written; it lies beside the file, whose folder is made as by `locked_folder`.
     Raises OutputError if another process, which the message names, writes the file, and OSError as `locked_folder`."""
     lock = lock_of(path)
-    with _made_for_it(lock.parent), _locked(lock, path):
+    with _new_folder(lock.parent), _locked(lock, path):
         yield
 
 
@@ -56,7 +56,7 @@ def lock_of(path: Path) -> Path:
 
 
 @contextmanager
-def _made_for_it(folder: Path) -> Iterator[None]:
+def _new_folder(folder: Path) -> Iterator[None]:
     """A folder that is made if it is not there, and removed again if nothing came into it."""
     made = make_folder(folder)
     try:

@@ -36,7 +36,7 @@ class FalsePositiveForm:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
         sightings, lasting = observed.false_sightings, None
         if self.lifetime_s:
-            found = find_lifetime(observed, _expected(observed, self.model), known=True)
+            found = find_lifetime(observed, _mean_number(observed, self.model), known=True)
             lasting = found if isinstance(found, LifetimeFit) else None
         inflation = lasting.inflation if lasting else 1.0
         return LearnedFalsePositives(
@@ -138,7 +138,7 @@ def choose_false_positives(observed: Outcomes, model: str = "auto") -> FalsePosi
     chosen = _likelier(observed, notes) if model == "auto" else model
     lasting: LifetimeFit | NoLifetime = NoLifetime("left out")
     if "lasting" not in observed.without:
-        lasting = find_lifetime(observed, _expected(observed, chosen))
+        lasting = find_lifetime(observed, _mean_number(observed, chosen))
         if isinstance(lasting, NoLifetime):
             notes.append(f"false_positives.persistence: none; {lasting.why}")
     if isinstance(lasting, NoLifetime):
@@ -191,7 +191,7 @@ def _in_images(observed: Outcomes, rows: Indices) -> Array:
     return np.bincount(images, minlength=len(observed.labelled.images)).astype(np.float64)
 
 
-def _expected(observed: Outcomes, model: str) -> Array:
+def _mean_number(observed: Outcomes, model: str) -> Array:
     """Mean number of false positives in each image under a model of their number, shape (I,)."""
     images = len(observed.labelled.images)
     false, follows = _in_images(observed, observed.false_positives), np.ones(images)

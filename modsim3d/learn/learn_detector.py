@@ -16,7 +16,7 @@ from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.io.validation import HORIZON, Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import states as state_maps
 from modsim3d.learn.figures import Figures, Matches, error_shares
-from modsim3d.learn.learned_detector import NEAR_THE_GATE, LearnSettings, barely_matched, check_size, learn, left_out
+from modsim3d.learn.learned_detector import NEAR_THE_GATE, LearnSettings, barely_matched, check_size, learn, omissions
 from modsim3d.learn.matches import Outcomes
 from modsim3d.learn.report import LearnReport, NearGate
 from modsim3d.learn.self_check import SelfCheck
@@ -276,7 +276,7 @@ class LearnRequest(Strict):
         scale = request.confidence_scale
         if scale and not scale[0] < scale[1]:
             raise InputError(caller, [f"confidence_scale: must be two numbers that rise (got {shown(scale)})"])
-        left_out(request.without, f"{caller}: without")
+        omissions(request.without, f"{caller}: without")
         return request
 
     @property
@@ -304,7 +304,7 @@ class LearnRequest(Strict):
             self.replicates,
             self.seed,
             self.false_positives,
-            left_out(self.without, f"{self.caller}: without"),
+            omissions(self.without, f"{self.caller}: without"),
         )
 
     def options(self, interval_s: float | None = None) -> LearnOptions:

@@ -62,7 +62,7 @@ class PartForm(Protocol):
         """The numbers of the model, with replicates for the weights of the resampling."""
 
 
-def left_out(names: Iterable[str], where: str) -> frozenset[str]:
+def omissions(names: Iterable[str], where: str) -> frozenset[str]:
     """Models of `RICHER` to be left out, by their names. Raises InputError, with `where`, if one is not known."""
     chosen = frozenset(names)
     unknown = sorted(chosen - set(RICHER))

@@ -371,7 +371,7 @@ def counted_as(labelled: LabelledSet, matched: Matching, used: Mask, without: fr
         return BoxTypes(matched.detection, in_merged_box, ambiguous, false, false, NONE, one_vessel, {}, {}, ())
     kinds, notes = kinds_of(labelled, matched, used), list[str]()
     thresholds, trials = dict[str, float](), dict[str, Trials]()
-    for name, least in _shown(kinds, wanted, labelled.images, notes).items():
+    for name, least in _clear_types(kinds, wanted, labelled.images, notes).items():
         trials[name] = _above(kinds.trials[name], least)
         if least is not None:
             thresholds[name] = least
@@ -402,7 +402,7 @@ def counted_as(labelled: LabelledSet, matched: Matching, used: Mask, without: fr
     return BoxTypes(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, said)
 
 
-def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:
+def _clear_types(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:
     """The kinds that the data clearly show, with their thresholds; notes on the others."""
     shown = dict[str, float | None]()
     for name in wanted:
@@ -410,7 +410,7 @@ def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str
         least, remark = _least(name, trials)
         above = _above(trials, least)
         seen, chance = float((above.hits + above.chance).sum()), float(above.chance.sum())
-        needed = _needed(chance)
+        needed = _least_count(chance)
         strength = _strength(above, images) if seen >= needed else 0.0
         if strength >= SIGNIFICANT:
             shown[name] = least
@@ -440,7 +440,7 @@ def _above(trials: Trials, least: float | None) -> Trials:
     return trials if least is None else trials.take(trials.value >= least - 1e-9)
 
 
-def _needed(chance: float) -> int:
+def _least_count(chance: float) -> int:
     """Least number that is surely more than chance makes."""
     square = SIGNIFICANT**2
     return int(np.ceil(chance + (square + np.sqrt(square**2 + 8 * chance * square)) / 2))

@@ -120,7 +120,7 @@ def overlaps(report: LearnReport) -> Overlaps:
     return Overlaps.of(iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]))
 
 
-def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
+def data_sentence(report: LearnReport, name: str, sources: Sequence[str]) -> str:
     """Sentence with the count of numbers in the detector file `name`, and their data, the labelled sets `sources`."""
     labelled, learned = report.labelled, report.learned
     numbers = sum(np.size(each.estimate) for each in learned.intervals(report.level) if each.key.remark != NOT_WRITTEN)

@@ -16,7 +16,7 @@ from modsim3d.learn.box_errors import estimate
 from modsim3d.learn.box_errors.laws import CELLS, ErrorMoments
 from modsim3d.learn.figures import Curve, Figures, Ranking, Rates
 from modsim3d.learn.learned_detector import LearnSettings, models_and_learners
-from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, overlaps, results
+from modsim3d.learn.report import LearnReport, data_sentence, how_well, lead, overlaps, results
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages import charts, page, provenance
 
@@ -289,7 +289,7 @@ def document(
     return Document(
         f"{name}: a detector learned from {counted(len(report.labelled.images), 'image')}",
         [
-            Text(learned_from(report, name, sources), "lead"),
+            Text(data_sentence(report, name, sources), "lead"),
             Text(how_well(report)),
             Text(f"IoU of the matches: {overlaps(report)}."),
             Text(f"Warning: {report.warning}." if report.warning else "", "bad", Where.EVERYWHERE & ~Where.TERMINAL),

@@ -375,12 +375,12 @@ def learn_from_figures(report: StrPath | Mapping[str, Any]) -> ReportedDetector:
         TypeError: It is neither a mapping nor a path.
     """
     if isinstance(report, Mapping):
-        return _made(report, "report")
+        return _detector(report, "report")
     path = as_path(report, "report", "a mapping or a path")
-    return _made(load_yaml(path, "report"), f"report {path}", path)
+    return _detector(load_yaml(path, "report"), f"report {path}", path)
 
 
-def _made(content: Any, source: str, *inputs: Path) -> ReportedDetector:
+def _detector(content: Any, source: str, *inputs: Path) -> ReportedDetector:
     """The detector of a report, with its box errors and confidences solved for."""
     report, assumed, contradictions = Report.of(content, source), list[str](), list[str]()
     cells, per_image = _cells(report, source, assumed, contradictions)

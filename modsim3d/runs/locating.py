@@ -192,7 +192,7 @@ def locate(
         at, frame = np.unique(steps[rows], return_inverse=True)
         if len(at):
             view = Viewpoints.of(scene, chosen, at, measured=attitude == "measured")
-            parts.append(_located(view, frame, boxes[rows], law.take(rows)))
+            parts.append(_locate(view, frame, boxes[rows], law.take(rows)))
     if not parts:
         return Locations(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
     back = np.argsort(order, kind="stable")
@@ -231,17 +231,17 @@ def points_of(boxes_px: Array) -> Array:
     return np.stack([(x_min + x_max) / 2, (y_min + y_max) / 2, y_max], axis=-1)
 
 
-def seen_at(camera: Camera, poses: CameraPoses, points_px: Array) -> Array:
+def directions(camera: Camera, poses: CameraPoses, points_px: Array) -> Array:
     """Bearing of the centre and flat inverse range of the foot, shape (n, 2), from `points_of` n boxes and n poses."""
     bearing = look(camera.intrinsics, poses, points_px[:, :2])[:, 0]
     return np.stack([bearing, look(camera.intrinsics, poses, points_px[:, [0, 2]])[:, 1]], axis=-1)
 
 
-def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErrors) -> Locations:
+def _locate(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErrors) -> Locations:
     """Boxes (n, 4), each in a frame of the viewpoints, shape (n,)."""
     points = points_of(boxes_px) - errors.means
     poses = _rows(view.poses(), frame)
-    seen = seen_at(view.camera, poses, points)
+    seen = directions(view.camera, poses, points)
     by_pixel = _pixel_derivatives(view.camera, poses, points)
     by_angle = _angle_derivatives(view, frame, points)
     covariance = by_pixel @ errors.covariances @ np.swapaxes(by_pixel, 1, 2)
@@ -252,7 +252,7 @@ def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErro
     left, right, lower = _cut(boxes_px, errors, view.camera.intrinsics.image_size_px).T
     across, down, _ = -poses.camera_R_world[:, :, 2].T
     footless = lower | ~(down > np.abs(across))  # of the image's four sides, another is nearest to down in the world
-    return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, left | right, footless)
+    return _locations(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, left | right, footless)
 
 
 def _cut(boxes_px: Array, errors: FootErrors, image_size_px: tuple[int, int]) -> Mask:
@@ -272,7 +272,7 @@ def _pixel_derivatives(camera: Camera, poses: CameraPoses, points_px: Array) -> 
     """Derivatives of bearing and flat inverse range by the three coordinates of `points_of`, shape (n, 2, 3)."""
     columns = []
     for step in _STEP_PX * np.eye(3):
-        change = seen_at(camera, poses, points_px + step) - seen_at(camera, poses, points_px - step)
+        change = directions(camera, poses, points_px + step) - directions(camera, poses, points_px - step)
         columns.append(_turn_least(change) / (2 * _STEP_PX))
     return np.stack(columns, axis=-1)
 
@@ -285,7 +285,7 @@ def _angle_derivatives(view: Viewpoints, frame: Indices, points_px: Array) -> Ar
             columns.append(np.zeros((len(points_px), 2)))
             continue
         more, less = (_rows(view.poses(tuple(turn.tolist())), frame) for turn in (step, -step))
-        change = seen_at(view.camera, more, points_px) - seen_at(view.camera, less, points_px)
+        change = directions(view.camera, more, points_px) - directions(view.camera, less, points_px)
         columns.append(_turn_least(change) / (2 * _STEP_RAD))
     return np.stack(columns, axis=-1)
 
@@ -317,7 +317,7 @@ def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cam
     return cameras_m + range_m * along, slope @ covariance @ np.swapaxes(slope, 1, 2)
 
 
-def _given(
+def _locations(
     bearing: Array, inverse: Array, covariance: Array, cameras_m: Array, horizon: Array, beside: Mask, footless: Mask
 ) -> Locations:
     """Result for each box: see `Locations`."""

@@ -43,7 +43,7 @@ def settings_difference(one: bytes, other: bytes, left_out: frozenset[str]) -> s
     """Entries that differ between two JSON objects, `left_out` aside; empty if none does."""
     first, second = (_flat(orjson.loads(text), left_out) for text in (one, other))
     keys = [key for key in sorted(first | second) if first.get(key) != second.get(key)]
-    said = [f"{key} {_shown(first, key)} against {_shown(second, key)}" for key in keys[:_MAX_COLUMNS]]
+    said = [f"{key} {_value_text(first, key)} against {_value_text(second, key)}" for key in keys[:_MAX_COLUMNS]]
     return _listed(said, len(keys))
 
 
@@ -59,7 +59,7 @@ def _flat(value: object, left_out: frozenset[str], path: str = "") -> dict[str, 
     return found
 
 
-def _shown(values: dict[str, object], key: str) -> str:
+def _value_text(values: dict[str, object], key: str) -> str:
     return orjson.dumps(values[key]).decode() if key in values else "nothing"
 
 
@@ -207,7 +207,7 @@ def _compared(stored: Path, again: Path, name: str, listed: FileList, made: File
     damage = _damage(stored, name, listed)
     if name not in made:
         return RepeatedFile(name, damage, "was not made again")
-    written = listed.get(name) if listed else _found(stored, name)
+    written = listed.get(name) if listed else _file(stored, name)
     if written == made[name]:
         return RepeatedFile(name, damage)
     if written is None:
@@ -218,7 +218,7 @@ def _compared(stored: Path, again: Path, name: str, listed: FileList, made: File
 
 def _damage(folder: Path, name: str, listed: FileList) -> str:
     """Damage of a stored file; empty if there is none, or if nothing is known of the file."""
-    found = _found(folder, name)
+    found = _file(folder, name)
     if found is None:
         return "is missing" if name in listed or not listed else ""
     if name not in listed or found == listed[name]:
@@ -228,7 +228,7 @@ def _damage(folder: Path, name: str, listed: FileList) -> str:
     return "is not what was written: its SHA-256 is another"
 
 
-def _found(folder: Path, name: str) -> Any:
+def _file(folder: Path, name: str) -> Any:
     return listed_file(folder / name) if (folder / name).is_file() else None
 
 

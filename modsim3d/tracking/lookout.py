@@ -7,7 +7,7 @@ import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.world.following import WorldMatching, in_last_frames, seen
+from modsim3d.tracking.world.following import WorldMatching, in_last_frames, visibility
 from modsim3d.tracks.true_tracks import TrackMatching
 from modsim3d.world.encounters import hull_tracks
 
@@ -45,7 +45,7 @@ def tracks_in_world(rows: RunRows, following: WorldMatching) -> Indices:
 
 def approaches(rows: RunRows, track: Indices) -> Iterator[VesselApproach]:
     """All vessels that came into view of each own ship; `track` is as in `tracks_in_images`."""
-    scene, in_view = rows.scene, seen(rows)
+    scene, in_view = rows.scene, visibility(rows)
     centres_m = hull_tracks(scene.vessels, scene.poses, rows.steps).centres_m
     times_s = scene.times_s(0, rows.steps)
     step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0

@@ -180,7 +180,7 @@ def _refuse_image_rules(rules: Rules) -> None:
         raise ModsimError(f"{what}: leave out; tracks in the world have --gate and --gospa")
 
 
-def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:
+def _camera_indices(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:
     """Indices of the cameras that are asked for; none if none are. Raises ModsimError if the run has no such camera, or
     these are no names."""
     names = [camera.name for camera in run.scene.cameras]
@@ -230,10 +230,10 @@ def _read(
         raise _one_sided(wrong[0], run)
     if cameras:
         in_images = [(path, each.in_cameras(cameras)) for path, each in in_images]
-    return _named(in_images), _named(in_world)
+    return _name_tracks(in_images), _name_tracks(in_world)
 
 
-def _named(found: list[tuple[P, T]]) -> list[tuple[P, T]]:
+def _name_tracks(found: list[tuple[P, T]]) -> list[tuple[P, T]]:
     """Tracks with their names in tables: those of one name by their paths, or by their numbers where they have none."""
     names = [each.name for _, each in found]
     return [

@@ -112,7 +112,7 @@ def moment_pictures(story: Story) -> list[Image]:
     plan = _plan(story, frames, TrackSet("the tracker", story.scored.following.tracks, None))
     plan = replace(plan, width=WIDTH_PX, enlarged=ENLARGED, style=replace(plan.style, enlarged=ENLARGED), key=False)
     with open_film_renderer(story.scored.rows.scene, plan) as renderer:
-        return [renderer.draw(_shown(story, each)) for each in frames]
+        return [renderer.draw(_tracker_frame(story, each)) for each in frames]
 
 
 def _plan(story: Story, frames: Sequence[int], track_set: TrackSet) -> FilmPlan:
@@ -134,7 +134,7 @@ def _plan(story: Story, frames: Sequence[int], track_set: TrackSet) -> FilmPlan:
     )
 
 
-def _shown(story: Story, number: int) -> StepFrames:
+def _tracker_frame(story: Story, number: int) -> StepFrames:
     """A frame with the tracker in place of the detector: missed is the vessel where no track follows it."""
     rows, step = story.scored.rows, number // story.scored.by_step
     frame = frame_of(rows, number)

@@ -238,9 +238,9 @@ def read_tracks(path: StrPath, run: StoredRun, rows: RunRows, cameras: Sequence[
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
     files = _files(path, rows, cameras)
-    known = _known("a detection", rows.detection_frame, rows.detection_boxes_px())
+    known = _boxes_of("a detection", rows.detection_frame, rows.detection_boxes_px())
     true_px = np.concatenate([rows.boxes_px("visible"), rows.boxes_px("full")])
-    truth = _known("a vessel", np.tile(rows.truth_frame, 2), true_px)
+    truth = _boxes_of("a vessel", np.tile(rows.truth_frame, 2), true_px)
     for file, (index, camera) in product(files, enumerate(rows.scene.cameras)):
         if problem := misreading(_box_rows(file, rows, index), known, truth):  # they are meant otherwise than read
             where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
@@ -264,7 +264,7 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> list[FileRows]:
     raise InputError(source_of(path), [f"is none of what tracks may be: {_FORMS}"])
 
 
-def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
+def _boxes_of(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
     order = np.argsort(frame, kind="stable")
     order = order[np.isfinite(boxes_px[order]).all(axis=1)]
     return KnownBoxes(word, frame[order], boxes_px[order])

@@ -17,7 +17,7 @@ from modsim3d.core.boxes import centres, iou
 from modsim3d.core.document import Result
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.files.table_columns import BOX_SIDES, TableColumn
-from modsim3d.runs.files.tables import named, numbers
+from modsim3d.runs.files.tables import names_of, numbers
 from modsim3d.scene.scene import Scene
 
 
@@ -326,11 +326,11 @@ def track_table(tracks: Tracks, scene: Scene) -> pa.Table:
     steps = int(tracks.step.max(initial=-1)) + 1
     variances = tracks.covariance_px2[:, [0, 0, 1], [0, 1, 1]].T
     columns: dict[str, Any] = {
-        "camera": named([camera.name for camera in scene.cameras], tracks.camera),
+        "camera": names_of([camera.name for camera in scene.cameras], tracks.camera),
         "step": tracks.step,
-        "timestamp": named(scene.timestamps(0, steps), tracks.step),
+        "timestamp": names_of(scene.timestamps(0, steps), tracks.step),
         "track": tracks.track,
-        "label": named(scene.detector.labels, tracks.label),
+        "label": names_of(scene.detector.labels, tracks.label),
         **{name: np.ascontiguousarray(side) for name, side in zip(BOX_SIDES, tracks.boxes_px.T, strict=True)},
         "confidence": numbers(tracks.confidence),
         **{name: numbers(part) for name, part in zip(COVARIANCES, variances, strict=True)},

@@ -195,7 +195,7 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
     """The rows of a bag in a folder. The topic of the tracks is None for the only one that can be. Raises InputError if
     it cannot be read, has no such topic or several, or another frame, and ModsimError if rosbags is not installed."""
     source = source_of(path)
-    messages = list(read_bag(path, "tracks", lambda topics: [_chosen(topics, source, topic)], _estimates))
+    messages = list(read_bag(path, "tracks", lambda topics: [_choose_topic(topics, source, topic)], _estimates))
     word = f"{messages[0][0]} message" if messages else "message"
     number, frames = np.arange(len(messages)) + 1, [frame for _, frame, _ in messages]
     of_messages = RowProblems(source, number, word)
@@ -207,7 +207,7 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
     covariance = np.full((len(found), 4, 4), np.nan)
     velocity = np.full((len(found), 2), np.nan)
     if found:
-        covariance[:, :2, :2] = _known(np.array([each.covariance for each in found]))[:, :2, :2]
+        covariance[:, :2, :2] = _covariances(np.array([each.covariance for each in found]))[:, :2, :2]
         velocity, covariance[:, 2:, 2:] = _velocities(found)
     return WorldRows(
         problems=RowProblems(source, np.repeat(number, [len(estimates) for _, _, estimates in messages]), word),
@@ -220,7 +220,7 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
     )
 
 
-def _known(covariances: Array) -> Array:
+def _covariances(covariances: Array) -> Array:
     """Covariances of shape (k, 36) as (k, 6, 6), NaN where they are all zero or begin with −1, ROS's unknown."""
     unknown = (covariances == 0).all(axis=1) | (covariances[:, 0] == -1)
     return np.where(unknown[:, None], np.nan, covariances).reshape(-1, 6, 6)
@@ -233,7 +233,7 @@ def _velocities(found: list[_Estimate]) -> tuple[Array, Array]:
     length = np.linalg.norm(quaternions, axis=1)
     quaternions[~(length > 0)] = (0.0, 0.0, 0.0, 1.0)  # an orientation that nobody filled in
     turn = Rotation.from_quat(quaternions)
-    covariance = _known(np.array([each.velocity_covariance for each in found]))[:, :3, :3]
+    covariance = _covariances(np.array([each.velocity_covariance for each in found]))[:, :3, :3]
     if not velocity.any():
         return np.full((len(found), 2), np.nan), np.full((len(found), 2, 2), np.nan)
     matrices = turn.as_matrix()
@@ -247,7 +247,7 @@ def _estimates(message: BagMessage) -> tuple[str, str, list[_Estimate]]:
     return message.topic, message.content.header.frame_id, list(of_kind(message.stamp_ns, message.content))
 
 
-def _chosen(topics: Mapping[str, str], source: str, topic: str | None) -> str:
+def _choose_topic(topics: Mapping[str, str], source: str, topic: str | None) -> str:
     able = [name for name, kind in topics.items() if kind in _KINDS]
     if topic is not None:
         if topic not in able:

@@ -160,7 +160,7 @@ def _occlusion(
     silhouettes, drawn = _silhouettes(drawing, whole)
     full_px, full_boxes = counts_and_boxes(silhouettes, len(outlines))
     boxes = np.where(outlines.boxed[:, None], full_boxes, drawing.pixel_boxes)
-    seen = _seen(drawing, silhouettes, boxes, whole, drawn)
+    seen = _overlaps(drawing, silhouettes, boxes, whole, drawn)
     if seen is None:
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample), silhouettes, None
     visible_px, visible_boxes = full_px.copy(), full_boxes.copy()
@@ -180,7 +180,7 @@ def _occlusion(
     return occlusion, silhouettes, seen
 
 
-def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask, drawn: Mask) -> Visibility | None:
+def _overlaps(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask, drawn: Mask) -> Visibility | None:
     """Visible parts of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them. The
     rows that are drawn for it are marked in `drawn` (n,). For `silhouettes` and `whole` see `_silhouettes`."""
     outlines = drawing.outlines

@@ -133,7 +133,7 @@ def box_persistence(
         asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
     else:
         times_s = evidence.instances.time_s[_instances_of(evidence, fits)]
-        asked = _asked(model.persistence, times_s[now] - times_s[before])
+        asked = _mean_correlation(model.persistence, times_s[now] - times_s[before])
         left, error = float(replayed.products.mean()), float(replayed.products.std())
         known = error / math.sqrt(len(replayed.products))
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
@@ -143,12 +143,12 @@ def box_persistence(
     return Estimate(asked + off * scale, asked, error * scale, len(now), statistic=off / error, possible=CORRELATION)
 
 
-def _asked(persistence: Persistence, apart_s: Array) -> float:
+def _mean_correlation(persistence: Persistence, apart_s: Array) -> float:
     """Mean correlation of the numbers behind the four components so far apart in time."""
     if persistence.box is not None:
         return float(persistence.box.correlation(apart_s)[..., :ERROR_NORMALS].mean())
     share = persistence.box_vessel_share
-    return share + (1 - share) * float(_kept(apart_s, persistence.box_s).mean())
+    return share + (1 - share) * float(_correlation_left(apart_s, persistence.box_s).mean())
 
 
 def _instances_of(evidence: Evidence, fits: list[StateFit]) -> Indices:
@@ -192,7 +192,7 @@ def latent_paths(
     apart = np.diff(times_s[order], prepend=0.0)
 
     def walked(time_s: float) -> Array:
-        kept = np.where(starts, 0.0, _kept(np.maximum(apart, 0), time_s))
+        kept = np.where(starts, 0.0, _correlation_left(np.maximum(apart, 0), time_s))
         walk = rng.standard_normal((len(order), count, width))
         for i in np.flatnonzero(kept > 0).tolist():
             walk[i] = kept[i] * walk[i - 1] + np.sqrt(1 - kept[i] ** 2) * walk[i]
@@ -215,7 +215,7 @@ def latent_paths(
     return np.swapaxes(result, 0, 1)
 
 
-def _kept(apart_s: Array, correlation_s: float) -> Array:
+def _correlation_left(apart_s: Array, correlation_s: float) -> Array:
     """Correlation that is left after some time, shape of the times; 0 where noise does not persist."""
     return np.exp(-apart_s / correlation_s) if correlation_s > 0 else np.zeros(np.shape(apart_s))
 

@@ -55,7 +55,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
         frame = seen.detections.frame[rows]
         found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
         again = np.repeat(frame, _DRAWS_EACH)
-        boxes = source.boxes_px(seen.frames, _kept(seen), again, rng.random((len(again), DRAWS + 1)))
+        boxes = source.boxes_px(seen.frames, _detected_vessels(seen), again, rng.random((len(again), DRAWS + 1)))
         drawn.append(_places_and_sizes(seen.frames, again, boxes))
     values, expected = np.concatenate(found), np.concatenate(drawn)
     if len(values) < MIN_FALSE:
@@ -64,7 +64,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
 
 
-def _kept(seen: CameraEvidence) -> records.Targets:
+def _detected_vessels(seen: CameraEvidence) -> records.Targets:
     """The detected vessels as the detector had them, with merged ones in one box."""
     found = seen.detections
     true = np.flatnonzero(~found.false())
@@ -369,7 +369,7 @@ def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     rows = false.instance[lying]
     shown[rows], place[rows] = True, _place_on(instances.boxes_px[rows], false.boxes_px[lying])
     chosen = rng.choice(passed, min(len(passed), _SAMPLED), replace=False)
-    inside = len(_drawn_on(law, instances, np.repeat(chosen, _DRAWS_EACH), rng)) / max(len(chosen) * _DRAWS_EACH, 1)
+    inside = len(_places_on(law, instances, np.repeat(chosen, _DRAWS_EACH), rng)) / max(len(chosen) * _DRAWS_EACH, 1)
     before = turn_before(seen.model, seen.evidence)
     later = np.flatnonzero((before >= 0) & shown[before])
     kept = np.zeros(len(later))
@@ -381,7 +381,7 @@ def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     # Of one that stays the image's edge changes some numbers at most.
     fresh[later] &= np.abs(place[later] - place[before[later]]).min(axis=1) > 10.0**-_PLACE_DIGITS
     new = np.flatnonzero(fresh)
-    around = _drawn_on(law, instances, np.repeat(new, _DRAWS_EACH), rng)
+    around = _places_on(law, instances, np.repeat(new, _DRAWS_EACH), rng)
     share = _rate(shown[passed], law.share, (1 + usual) / max(1 - usual, 1e-9), inside)
     measures: dict[str, tuple[Rate | Law | None, float]] = {
         "share": (share, law.share),
@@ -408,7 +408,7 @@ def _place_on(vessels_px: Array, boxes_px: Array) -> Array:
     return np.round(np.hstack([shift, np.log(sizes(boxes_px) / sides)]), _PLACE_DIGITS)
 
 
-def _drawn_on(law: VesselFalseBoxes, instances: Instances, rows: Indices, rng: np.random.Generator) -> Array:
+def _places_on(law: VesselFalseBoxes, instances: Instances, rows: Indices, rng: np.random.Generator) -> Array:
     """Places of false positives that are drawn on vessels, as the image shows them, shape (at most m, 4)."""
     uniforms = rng.random((len(rows), 5))
     uniforms[:, 0] = 0.0  # on each of them

@@ -16,7 +16,7 @@ from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.campaign.workers import LOST, Death, Engine
-from modsim3d.core.document import Block, Where, shown
+from modsim3d.core.document import Block, Where, blocks_at
 from modsim3d.core.errors import InputError
 from modsim3d.view.pages.page import html_of
 from tests.campaign.one_process import ThisProcess
@@ -91,4 +91,4 @@ class Losing(ThisProcess):
 
 
 def html_of_blocks(blocks: Iterable[Block]) -> str:
-    return "\n".join(map(html_of, shown(blocks, Where.PAGE)))
+    return "\n".join(map(html_of, blocks_at(blocks, Where.PAGE)))

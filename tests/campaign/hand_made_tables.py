@@ -4,13 +4,13 @@ import numpy as np
 
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.work.row import crashed_row, table_of
 
 
 def verdict_of(plan, score, values, crashed=()):
     """The only verdict of a plan on runs with these values of a score."""
-    (verdict,) = judged(plan, table_of_scores(plan, score, values, crashed))
+    (verdict,) = judge(plan, table_of_scores(plan, score, values, crashed))
     return verdict
 
 

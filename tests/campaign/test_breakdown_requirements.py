@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.verdicts.wording import score_name, warnings_of
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import rules_of
@@ -31,7 +31,7 @@ def test_recall_is_judged_in_each_bin_that_is_named_and_on_a_share_of_it_where_o
     columns = {f"{HALF}.recall": 0.5, "range.0 to 100.recall": 0.85}
     columns |= {f"{HALF}.vessel_frames": 9, "range.0 to 100.vessel_frames": 9}
     rows = ({**columns, "visible_fraction.1.recall": 0.9 + run / 100} for run in range(5))
-    half, whole, near = judged(plan, rows_with(*rows))
+    half, whole, near = judge(plan, rows_with(*rows))
     assert (half.outcome, whole.outcome, near.outcome, near.nothing) == ("failed", "met", "failed", 5)
     assert half.text == "recall at least 0.8 in visible_fraction 0.5 to 0.75, in 50 % of traffic seeds"
     assert half.values == {"visible_fraction": "0.5 to 0.75"}
@@ -42,7 +42,7 @@ def test_a_run_without_vessel_frames_in_the_bin_is_left_out_and_one_without_trac
     empty, missed = {f"{HALF}.vessel_frames": 0}, {f"{HALF}.vessel_frames": 4, f"{HALF}.recall": 0.0}
     good = {f"{HALF}.vessel_frames": 4, f"{HALF}.recall": 1.0}
     plan = plan_of(7, [{**RECALL, "where": {"visible_fraction": "0.5 to 0.75"}}])
-    (verdict,) = judged(plan, rows_with(empty, missed, *[good] * 5))
+    (verdict,) = judge(plan, rows_with(empty, missed, *[good] * 5))
     assert (verdict.seeds, verdict.undefined, verdict.nothing, verdict.estimate) == (6, 1, 0, 5 / 6)
     assert "1 traffic seed without recall in visible_fraction 0.5 to 0.75 left out: 1000000. The truth" in verdict.why
 
@@ -55,7 +55,7 @@ def survival(survived: float | None, judged: int, to_survive: int) -> dict[str, 
 def test_survival_by_length_is_managed_by_the_tracker_as_survival_of_all_is() -> None:
     """Where there is an occlusion to survive, a tracker that follows nothing before it is at fault."""
     rows = rows_with(survival(None, 0, 2), survival(None, 0, 0), *[survival(0.75, 4, 4)] * 8)
-    without, resting = (judged(plan_of(10, [{**SURVIVED, **share}]), rows)[0] for share in ({}, {"resting_on": 0.5}))
+    without, resting = (judge(plan_of(10, [{**SURVIVED, **share}]), rows)[0] for share in ({}, {"resting_on": 0.5}))
     assert (resting.outcome, resting.seeds, resting.nothing, resting.undefined) == ("met", 9, 1, 1)
     assert without.outcome == "undecided" and "`resting_on`, as in" in without.why
     assert "mean over runs" in resting.why and "% of occlusions" in resting.why
@@ -65,7 +65,7 @@ def test_survival_by_length_is_managed_by_the_tracker_as_survival_of_all_is() ->
 def test_a_camera_and_a_state_within_the_runs_have_columns_of_their_own(group, good, bad) -> None:
     plan = plan_of(5, [{"score": "hota", "at_least": 0.4, "in": 0.5, "where": {group: [good, bad]}}])
     row = {f"{group}.{good}.hota": 0.5, f"{group}.{bad}.hota": 0.3, f"{group}.{good}.vessel_frames": 3}
-    met, failed = judged(plan, rows_with(*[row] * 5))
+    met, failed = judge(plan, rows_with(*[row] * 5))
     assert (met.outcome, failed.outcome, failed.values) == ("met", "failed", {group: bad})
     assert met.text == f"hota at least 0.4 in {group} {good}, in 50 % of traffic seeds"
 
@@ -76,7 +76,7 @@ def test_a_camera_and_a_state_within_the_runs_have_columns_of_their_own(group, g
 def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs(score, group, name) -> None:
     plan = plan_of(40, [{"score": score, "at_least": 0.4, "where": {group: name}}])
     rows = ({f"{group}.{name}.{score}": 0.8 + run / 1000, f"{group}.{name}.vessel_frames": 9} for run in range(40))
-    (verdict,) = judged(plan, rows_with(*rows))
+    (verdict,) = judge(plan, rows_with(*rows))
     assert verdict.outcome == "undecided" and "ask for a share of seeds with `in`" in verdict.why
     (warning,) = warnings_of(plan)
     assert f"a mean of {score_name(score)} by {group} was not measured to hold" in warning
@@ -125,4 +125,4 @@ def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(t
     assert sum(row[f"range.{name}.vessel_frames"] for name in BINS["range"]) == row["true_positives"] + row["misses"]
     assert sum(row[f"occlusion.{name}.occlusions"] for name in BINS["occlusion"]) == row["occlusions"]
     seen = [int(row[f"range.{name}.vessel_frames"] > 0) for name in BINS["range"]]
-    assert [verdict.seeds for verdict in judged(plan, result.table)[: len(seen)]] == seen
+    assert [verdict.seeds for verdict in judge(plan, result.table)[: len(seen)]] == seen

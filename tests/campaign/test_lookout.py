@@ -10,7 +10,7 @@ from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.reproduce import reproduce_run
 from modsim3d.campaign.verdicts.bounds import mean_share_low
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from tests.campaign.campaigns import problems_of, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
 
@@ -23,7 +23,7 @@ def approach(in_view_m=2000, closest_m=100, known_m=1000, one_track_m=1000, leng
 
 def verdict(seeds, crashed=(), planned=None, **keys):
     table = table_of_runs([{"approaches": json.dumps(each)} for each in seeds], crashed)
-    (found,) = judged(plan_of(planned or len(seeds), [KNOWN | keys]), table)
+    (found,) = judge(plan_of(planned or len(seeds), [KNOWN | keys]), table)
     return found
 
 
@@ -122,7 +122,7 @@ def test_scores_of_closest_approaches_and_trajectories_in_the_world_can_be_requi
     limits = {"cpa_right_share": {"at_least": 0.7}, "cpa_error_m": {"at_most": 50, "resting_on": 0.5}}
     limits |= {"ospa2_m": {"at_most": 10}}
     require = [{"score": score, "in": 0.5, **limit} for score, limit in limits.items()]
-    found = judged(plan_of(20, require), table_of_runs([seen] * 15 + [blind, empty, empty, empty, empty]))
+    found = judge(plan_of(20, require), table_of_runs([seen] * 15 + [blind, empty, empty, empty, empty]))
     assert [each.outcome for each in found] == ["met"] * 3
     assert [each.undefined for each in found] == [4, 4, 0]  # no encounter was in view: nobody's fault
     assert [each.estimate for each in found] == [15 / 16, 15 / 16, 19 / 20] and found[1].nothing == 1

@@ -24,7 +24,7 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.reproduce import reproduce_run
 from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import WORLD_SCORES, world_column
 from modsim3d.cli.campaign_text import program_warnings
@@ -214,7 +214,7 @@ def test_a_run_whose_tracks_are_elsewhere_is_not_left_out() -> None:
     require = [{"score": score, "at_least": 0.01, "in": 0.3} for score in ("hota", "rmse_m")]
     plan = plan_of(8, [*require, {"score": "hota", "at_least": 0.4}])
     easy, hard = {"appearances": 3, "hota": 0.5}, {"vessels": 3, "rmse_m": 9.0, "followed_share": 0.1}
-    verdicts = judged(plan, table_of_runs([easy, hard] * 4))
+    verdicts = judge(plan, table_of_runs([easy, hard] * 4))
     found = [(each.outcome, each.seeds, each.nothing, each.undefined, each.left_out) for each in verdicts]
     assert found == [("undecided", 8, 4, 0, 0)] * 3
     assert [each.estimate for each in verdicts[:2]] == [0.5, 0.5]

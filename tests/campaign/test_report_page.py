@@ -25,7 +25,7 @@ from modsim3d.campaign.report.parameter_charts import (
 from modsim3d.campaign.report.parameter_charts import parameter_sections as sections
 from modsim3d.campaign.report.search_page import report_campaign, search_page
 from modsim3d.campaign.report.words import Score, constant, required_scores, requirement_sections, verdict_sentence
-from modsim3d.campaign.verdicts.verdict import Verdict, judged
+from modsim3d.campaign.verdicts.verdict import Verdict, judge
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.core.text import three_digits_with_interval
 from modsim3d.view.pages import tables
@@ -165,7 +165,7 @@ def test_a_mean_and_its_interval_are_over_traffic_seeds_and_one_value_gives_no_i
 def test_a_mean_that_is_required_has_the_interval_of_its_requirement_in_table_and_chart():
     plan = plan_of(5, [{"grid": {"state": ["clear", "haze"]}}], [{"score": "hota", "at_least": 0.4}])
     table, trackers = table_for(plan), ("sort", "bytetrack")
-    verdicts, (state,) = judged(plan, table), parameters_of(plan, table)
+    verdicts, (state,) = judge(plan, table), parameters_of(plan, table)
     found = by_level(seed_cells(plan, table, "hota"), state.index, 2)
     chart = _with_required(found, state, trackers, [each for *_, each in required_means(plan, verdicts)])
     rows = with_required(plan, mean_rows(table, ["state"], ["hota"]), verdicts)

@@ -11,7 +11,7 @@ import pytest
 from modsim3d.campaign.keys import ScoreKeys
 from modsim3d.campaign.plan import Case
 from modsim3d.campaign.verdicts.seed_values import SeedRows
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.work.row import SCORES, SHARES, WORLD_SCORES, facts_of, score_bounds, without_tracks
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scoring import scores_of
@@ -125,7 +125,7 @@ def rows_with(score, values, **columns):
 def test_a_tracker_that_gives_nothing_in_4_of_12_seeds_meets_nothing(score, share):
     good, side = good_of(score)
     values = [None if run % 3 == 0 else good + 0.001 * run for run in range(12)]
-    (verdict,) = judged(plan_of(12, [{"score": score, **side, **share}]), rows_with(score, values))
+    (verdict,) = judge(plan_of(12, [{"score": score, **side, **share}]), rows_with(score, values))
     assert verdict.outcome != "met" and (verdict.seeds, verdict.nothing, verdict.undefined) == (12, 4, 0)
     assert "In 4 runs the tracker gave nothing" in verdict.why
     if "in" in share:
@@ -142,7 +142,7 @@ def test_what_the_tracker_manages_is_met_only_with_the_share_that_it_must_rest_o
     parts = {"true_positives": 90, "misses": 10, "nees_pairs": 90, "established_share": 0.9, "occlusions_judged": 9}
     table = rows_with(score, values, **parts, occlusions_to_survive=10)
     required = [{"score": score, **side, "in": 0.5, "resting_on": share} for share in (None, 0.85, 0.95)]
-    without, some, more = judged(plan_of(12, required), table)
+    without, some, more = judge(plan_of(12, required), table)
     assert (without.outcome, some.outcome, more.outcome) == ("undecided", "met", "failed")
     assert "`resting_on`, as in `resting_on: 0.8`" in without.why
     assert "It rests on 90 % of" in some.why and some.rests_on == pytest.approx(0.9)

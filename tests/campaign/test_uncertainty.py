@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from modsim3d import InputError, LearnResult, learn_detector, load_detector, load_scene, run_scene
-from modsim3d.campaign.drawn_detectors import LearnedUncertainty, _drawn, drawn_detector, read_uncertainty
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, _draw_number, drawn_detector, read_uncertainty
 from modsim3d.campaign.plan import Condition
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.running import CampaignResult
@@ -157,7 +157,7 @@ def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -
     (hardly,) = of_numbers(group(0.0, 2, 5, 0.3), "false_positives_per_image").groups[0].numbers
     hardly = hardly.model_copy(update={"observations": 1e-9})  # one run: replicates tell nothing
     rng = np.random.default_rng(0)
-    rates = [float(_drawn(hardly, np.array(z), 1.0, rng)) for z in (-1.0, 1.0, 2.0)]
+    rates = [float(_draw_number(hardly, np.array(z), 1.0, rng)) for z in (-1.0, 1.0, 2.0)]
     assert max(rates) == pytest.approx(10 * float(hardly.estimate)) and min(rates) >= 0
 
 

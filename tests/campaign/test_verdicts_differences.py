@@ -13,7 +13,7 @@ from modsim3d.campaign.report.campaign_page import mean_sections, paired_section
 from modsim3d.campaign.report.coverage import trace_sections
 from modsim3d.campaign.report.words import required_scores
 from modsim3d.campaign.verdicts.bounds import skewed_bounds
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.verdicts.wording import measured_offers, seeds_needed, warnings_of
 from modsim3d.cli.campaign_text import requirement_in_words
 from tests.campaign.campaigns import html_of_blocks, run_campaign_file
@@ -81,7 +81,7 @@ def test_a_managed_score_must_rest_on_enough_of_both_trackers(lazy):
     plan = plan_of(6, [{**requirement, "resting_on": 0.8}], TRACKERS)
     few, many = {"misses": 8, "true_positives": 2}, {"misses": 0, "true_positives": 10}
     rows = [few if name == lazy else many for name in ("old", "new")] + [many] * 10
-    (verdict,) = judged(plan, table_of_runs({"appearances": 2, "rmse_px": 3.0, **row} for row in rows))
+    (verdict,) = judge(plan, table_of_runs({"appearances": 2, "rmse_px": 3.0, **row} for row in rows))
     assert (verdict.nothing, verdict.estimate) == (1, pytest.approx(5 / 6))
 
 
@@ -131,7 +131,7 @@ def test_the_page_holds_no_mean_against_the_threshold_of_a_difference_and_prints
     table = table_of_scores(plan, "siap_completeness", values_of(0.1))
     html = html_of_blocks(paired_sections(plan, table))
     assert "above" in html and ">−0.099</td>" in html
-    verdicts = judged(plan, with_plan(table, plan))
+    verdicts = judge(plan, with_plan(table, plan))
     html = html_of_blocks(mean_sections(plan, with_plan(table, plan), verdicts))
     assert verdicts and "Intervals of means that are required" not in html and required_means(plan, verdicts) == []
 

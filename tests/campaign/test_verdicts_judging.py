@@ -11,7 +11,7 @@ import pytest
 from modsim3d.campaign.done_rows import needed_seeds
 from modsim3d.campaign.verdicts.bounds import clean_seeds, perfect_seeds, skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.verdicts.wording import levels_of, rounded, seeds_needed, warnings_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores, verdict_of
 
@@ -119,7 +119,7 @@ def test_a_requirement_is_judged_by_all_runs(case):
 ])  # fmt: skip
 def test_a_mean_is_judged_on_the_side_that_the_requirement_names(mean, least, most, stop):
     plan = plan_of(100, [HOTA, {"score": "hota", "at_most": 0.6}], stop=stop)
-    assert [each.outcome for each in judged(plan, table_of_scores(plan, "hota", around(mean, 0.05)))] == [least, most]
+    assert [each.outcome for each in judge(plan, table_of_scores(plan, "hota", around(mean, 0.05)))] == [least, most]
 
 
 SAID = {
@@ -150,12 +150,12 @@ def test_a_verdict_says_what_it_rests_on_in_sentences(keys, requirement, values,
 def test_runs_that_are_lost_are_counted_by_their_kind_in_one_sentence():
     both = ({"tracker": "sort", "name": "old"}, {"tracker": "bytetrack", "name": "new"})
     difference = {"score": "hota", "of": "new", "minus": "old", "at_least": 0.1, "in": 0.5}
-    (verdict,) = judged(plan := plan_of(4, [difference], both), table_of_scores(plan, "hota", [0.5, 0.9] * 4, (0,)))
+    (verdict,) = judge(plan := plan_of(4, [difference], both), table_of_scores(plan, "hota", [0.5, 0.9] * 4, (0,)))
     assert verdict.why.endswith(" 1 run crashed, of either tracker: this counts as wrong.")
     resting = {"score": "assa", "at_least": 0.1, "in": 0.5, "resting_on": 0.5}
     for more, words in ((resting, " or too little"), ({**resting, "resting_on": None}, "")):
         rows = ({"appearances": 2, "assa": None if run == 1 else 0.7} for run in range(4))
-        (verdict,) = judged(plan_of(4, [more]), table_of_runs(rows, (0,)))
+        (verdict,) = judge(plan_of(4, [more]), table_of_runs(rows, (0,)))
         assert f"1 run crashed and in 1 run the tracker gave nothing{words} to score" in verdict.why, verdict.why
 
 
@@ -216,11 +216,11 @@ def test_numbers_have_four_digits_and_bounds_are_rounded_away_from_what_they_bou
 
 def test_seeds_in_which_nothing_went_wrong_fail_nothing_and_one_with_a_run_of_nothing_is_wrong():
     plan = plan_of(4, [{"score": "mean_track_break_s", "at_most": 3, "resting_on": 0.5}])
-    (verdict,) = judged(plan, table_of_runs({"appearances": 2, "established": 2 * (run > 0)} for run in range(4)))
+    (verdict,) = judge(plan, table_of_runs({"appearances": 2, "established": 2 * (run > 0)} for run in range(4)))
     assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 1, 3)
     assert "nothing of that kind went wrong" in verdict.why
     plan = plan_of(2, [{"score": "detpr", "at_least": 0.6, "in": 0.5}], detector=2)
-    (verdict,) = judged(plan, table_of_runs({"appearances": 3, "detpr": detpr} for detpr in (0.9, None, 0.9, 0.9)))
+    (verdict,) = judge(plan, table_of_runs({"appearances": 3, "detpr": detpr} for detpr in (0.9, None, 0.9, 0.9)))
     assert (verdict.estimate, verdict.nothing, verdict.undefined, verdict.left_out) == (0.5, 1, 0, 0)
 
 
@@ -237,7 +237,7 @@ def test_a_requirement_that_no_tracks_at_all_would_meet_says_so(requirement, sai
     row = {"frames": 10, "true_positives": 8, "misses": 2, "appearances": 2, "id_switches": 0, "false_track_s": 1.0}
     table = table_of_runs({**row, "gospa": 9.0 + run, "mota": 0.7 + run / 100} for run in range(6))
     for seeds in (1, 6):
-        (verdict,) = judged(plan_of(seeds, [requirement]), table.slice(0, seeds))
+        (verdict,) = judge(plan_of(seeds, [requirement]), table.slice(0, seeds))
         assert verdict.met_without_tracks == said == ("No tracks at all would meet it too" in verdict.why)
 
 
@@ -246,7 +246,7 @@ def test_each_tracker_and_each_condition_has_a_verdict_and_drawn_values_split_no
     one_case = {**HOTA, "where": {"tracker": "sort", "detector.miss_rate": 0.2}}
     plan = plan_of(4, [HOTA, one_case], ("bytetrack", "sort"), vary=vary)
     values = np.add.outer([0.01, 0.02, 0.03, 0.04], [0.1, 0.2, 0.3, 0.4])  # by seed, condition and tracker
-    verdicts = judged(plan, table_of_scores(plan, "hota", values))
+    verdicts = judge(plan, table_of_scores(plan, "hota", values))
     found = [(each.requirement, each.tracker, each.values["detector.miss_rate"]) for each in verdicts]
     of_all = [(0, "bytetrack", 0.1), (0, "bytetrack", 0.2), (0, "sort", 0.1), (0, "sort", 0.2)]
     assert found == [*of_all, (1, "sort", 0.2)]
@@ -268,7 +268,7 @@ def test_levels_leave_out_a_bound_that_says_nothing_and_are_never_a_probability_
 def test_rows_behind_a_missing_one_do_not_count_and_a_crashed_run_rests_on_nothing():
     plan = plan_of(1000, [{**CLEAN, "in": 0.5}], stop="sequential")
     table = table_of_scores(plan, "id_switches", [0] * 20)
-    assert judged(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))[0].seeds == 5
+    assert judge(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))[0].seeds == 5
     values, share = np.array([[1.0], [np.nan], [2.0]]), np.array([[0.8], [np.nan], [0.4]])
     assert Runs(values, np.isnan(values), np.zeros((3, 1), dtype=bool), share).rests_on == pytest.approx(0.4)
 
@@ -295,7 +295,7 @@ def test_the_seeds_between_two_measured_confidences_are_those_that_both_need(mon
 def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
     plan = plan_of(6, [{**HOTA, "in": 0.5, "where": {"state": "haze"}}])
     rows = ({"hota": 0.1, "state.haze.hota": hota} for hota in (0.7, None, 0.72, 0.71, 0.7, 0.7))
-    (verdict,) = judged(plan, table_of_runs(rows))
+    (verdict,) = judge(plan, table_of_runs(rows))
     assert (verdict.outcome, verdict.seeds, verdict.undefined) == ("met", 5, 1)
     assert "1 traffic seed without HOTA in state haze left out: 1000001. The truth has nothing to score" in verdict.why
 
@@ -351,7 +351,7 @@ def verdicts_of(wrong, seeds, confidence=0.95, stop="once", level="family"):
     plan = plan_of(seeds, [{**MOSTLY_CLEAN, "confidence": confidence}, *require], level=level, stop=stop)
     others = list(zip(SCORES[1:], wrong[1:], strict=False))
     rows = ({name: 0.1 if run < bad else 0.9 for name, bad in others} for run in range(seeds))
-    return judged(plan, table_of_runs({"id_switches": int(run < wrong[0]), **row} for run, row in enumerate(rows)))
+    return judge(plan, table_of_runs({"id_switches": int(run < wrong[0]), **row} for run, row in enumerate(rows)))
 
 
 def test_a_verdict_alone_is_judged_at_its_own_level_and_two_at_half_of_it():
@@ -387,7 +387,7 @@ def test_the_family_errs_no_more_than_one_of_its_verdicts_may(stop):
         right = (rng.random((60, 8)) < 0.8).astype(float)
         table = table_of_runs(dict(zip(names, each, strict=True)) for each in right)
         for level in wrong:
-            verdicts = judged(plan_of(60, require, level=level, stop=stop), table)
+            verdicts = judge(plan_of(60, require, level=level, stop=stop), table)
             wrong[level] += any(each.outcome == "met" for each in verdicts)
     assert wrong["family"] <= 0.1 * 60 + 6 and wrong["family"] < wrong["each"]
 
@@ -395,7 +395,7 @@ def test_the_family_errs_no_more_than_one_of_its_verdicts_may(stop):
 def test_a_mean_beyond_the_confidences_that_were_measured_is_undecided_and_says_so():
     require = [{"score": "hota", "at_least": 0.5}] * 6
     plan = plan_of(60, require, level="family")
-    (why,) = {each.why for each in judged(plan, table_of_scores(plan, "hota", 0.8 + 0.02 * np.tile([-1, 1], 30)))}
+    (why,) = {each.why for each in judge(plan, table_of_scores(plan, "hota", 0.8 + 0.02 * np.tile([-1, 1], 30)))}
     assert "99.16666667 % confidence" in why and "was not measured to hold" in why
     assert len(warnings_of(plan)) == 6 and warnings_of(plan_of(60, require[:5], level="family")) == []
 

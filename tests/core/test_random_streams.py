@@ -18,7 +18,7 @@ from modsim3d.cli.terminal_tables import print_document
 from modsim3d.core import document as blocks_of
 from modsim3d.core import random_streams
 from modsim3d.core.arrays import distinct, occurring, run_starts
-from modsim3d.core.document import Cell, Document, Heading, Table, Text, Where, shown
+from modsim3d.core.document import Cell, Document, Heading, Table, Text, Where, blocks_at
 from modsim3d.core.random_streams import Purpose, Streams, normals
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance
@@ -250,7 +250,7 @@ def test_pages_terminals_and_notebooks_have_what_is_for_them_and_no_heading_of_n
     assert html.startswith("<p>Sort is best.</p><table>") and html.count("<tr>") == 3
     assert "svg" not in html and "0.25 [0.1, 0.4]" in html
     blocks = [Heading("a"), Heading("b", 3), Text("x"), Heading("c", 3), Heading("d"), Heading("e", 3)]
-    assert shown(blocks, Where.TERMINAL) == blocks[:3]
+    assert blocks_at(blocks, Where.TERMINAL) == blocks[:3]
     drawn = Table("drawn", ("a", "axis", "b"), [("1", Cell("", draw=lambda: "<svg></svg>"), "2")])
     said = printed(Document("", [], [drawn, Table("named", (), [("name", "value")])]))
     assert said.split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]

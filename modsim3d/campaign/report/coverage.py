@@ -177,10 +177,10 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
         rows.append([text, verdict.tracker, f"{verdict.condition}", verdict.outcome, numbers, *counts])
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
     yield Table("", header, rows)
-    yield from _left_out(len(verdicts), VERDICTS)
+    yield from _omission(len(verdicts), VERDICTS)
 
 
-def _left_out(count: int, file: str) -> Iterator[Block]:
+def _omission(count: int, file: str) -> Iterator[Block]:
     if count > _MAX_ROWS:
         yield Text(f"{count - _MAX_ROWS} more are in {file}.")
 
@@ -208,7 +208,7 @@ def _conditions(folder: CampaignFolder) -> Iterator[Block]:
         sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
         rows.append([f"{number}", each["scene"], values or "as it is", *sums])
     yield Table("Conditions", ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"], rows)
-    yield from _left_out(len(conditions), PLAN)
+    yield from _omission(len(conditions), PLAN)
     if folder.plan.drawn:
         keys = ", ".join(folder.plan.drawn)
         yield Text(f"Checksums are those of the first traffic seed: {keys} differ from seed to seed.", "soft")

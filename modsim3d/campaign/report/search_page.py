@@ -16,7 +16,7 @@ from modsim3d.campaign.report.campaign_page import REPORT_FILE, WORST, campaign_
 from modsim3d.campaign.report.campaign_page import lead as campaign_lead
 from modsim3d.campaign.report.words import Score, rests_on
 from modsim3d.campaign.search_folder import REFUSED, search_table
-from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.campaign.verdicts.verdict import judge
 from modsim3d.campaign.work.row import DONE
 from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
 from modsim3d.core.paths import StrPath, out_file
@@ -39,7 +39,7 @@ def lead(search: SearchKeys, table: pa.Table) -> str:
     """Result of the search, in a sentence."""
     score = Score(search.minimise or search.maximise or "")
     worst = "lowest" if search.minimise else "highest"
-    done = _done(search, table)
+    done = _valued_trials(search, table)
     crashed = sum(status not in (DONE, REFUSED) for status in table["status"].to_pylist())
     crashes = f" {counted(crashed, 'trial')} crashed, which is a finding too." if crashed else ""
     if not done:
@@ -69,7 +69,7 @@ def search_page(
             *_progress(search, score, table),
             Heading("The worst trials"),
             *_worst(folder, search, score, table),
-            *_moments(folder, score, _done(search, table)[:WORST], advance),
+            *_moments(folder, score, _valued_trials(search, table)[:WORST], advance),
             Heading("Others"),
             *_others(table),
             Heading("Where it looked"),
@@ -79,7 +79,7 @@ def search_page(
     return document_page(document, rests_on(folder, "findings of a search", command))
 
 
-def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:
+def _valued_trials(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:
     """Trials with a value, the worst first."""
     column = search.minimise or search.maximise or ""
     rows = [row for row in table.to_pylist() if row["status"] == DONE and row.get(column) is not None]
@@ -88,7 +88,7 @@ def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:
 
 def _progress(search: SearchKeys, score: Score, table: pa.Table) -> list[Block]:
     """The score of each trial, and the worst so far."""
-    rows = sorted(_done(search, table), key=lambda row: int(row["run"]))
+    rows = sorted(_valued_trials(search, table), key=lambda row: int(row["run"]))
     if not rows:
         return [Text("No trial has a value." if len(table) else "")]
     x = np.array([row["run"] for row in rows], dtype=float)
@@ -110,7 +110,7 @@ def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.T
             str(row["traffic_seed"]),
             folder.reproducing(row["run"]),
         )
-        for row in _done(search, table)[:SHOWN]
+        for row in _valued_trials(search, table)[:SHOWN]
     ]
     header = ("trial", score.name, *search.over, "traffic seed", "make it again")
     return [Table("", header, rows), Text("" if rows else "There are none.")]
@@ -194,6 +194,6 @@ def report_campaign(
             write_files({path: search_page(opened, opened.keys.search, trials, call, progress)})
             return OutputFiles((path,), (lead(opened.keys.search, trials),))
         table = results_table(opened)
-        verdicts = judged(opened.plan, table)
+        verdicts = judge(opened.plan, table)
         write_files({path: campaign_page(opened, table, verdicts, progress, call)})
     return OutputFiles((path,), (campaign_lead(opened, table, verdicts),))

@@ -157,7 +157,7 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
 def _took_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
     """Summary of the verdicts on what runs took; empty without any."""
     count = Counter(each.outcome for each in verdicts if plan.keys.require[each.requirement].of_time)
-    said = ", ".join(f"{count[outcome]} {_told(count[outcome], outcome)}" for outcome in ORDER if count[outcome])
+    said = ", ".join(f"{count[outcome]} {_verb(count[outcome], outcome)}" for outcome in ORDER if count[outcome])
     return said and f"Of {counted(count.total(), 'verdict')} on what runs took, not repeatable, {said}."
 
 
@@ -173,8 +173,8 @@ def _verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
     lead = "Not met" if count["failed"] else "Not decided"
     if total in count.values():
         subject = "the requirement" if total == 1 else f"all {total} requirements"
-        return f"{sign} {lead}: {subject} {_told(total, next(iter(count)))}, {how}."
-    parts = [f"{count[outcome]} {_told(count[outcome], outcome)}" for outcome in ORDER if count[outcome]]
+        return f"{sign} {lead}: {subject} {_verb(total, next(iter(count)))}, {how}."
+    parts = [f"{count[outcome]} {_verb(count[outcome], outcome)}" for outcome in ORDER if count[outcome]]
     return f"{sign} {lead}: of {total} requirements {', '.join(parts[:-1])} and {parts[-1]}, {how}."
 
 
@@ -266,7 +266,7 @@ def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdic
     return found
 
 
-def _told(count: int, outcome: Outcome) -> str:
+def _verb(count: int, outcome: Outcome) -> str:
     return "failed" if outcome == "failed" else f"{'is' if count == 1 else 'are'} {outcome}"
 
 

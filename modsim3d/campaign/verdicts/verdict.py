@@ -75,11 +75,11 @@ NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share o
 _NAMED = 5  # most seeds without a value that are named
 
 
-def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
+def judge(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     """A verdict for each requirement, tracker and condition that it is about, on the rows before the first traffic seed
     that is not whole. With `stop: once`, every verdict is undecided until all runs are there."""
     rows, cases = SeedRows(plan, table), wording.cases_of_all(plan)
-    verdicts = [*_judged(plan, rows, cases)]
+    verdicts = [*_verdicts(plan, rows, cases)]
     for place, case in wording.cases_of_all(plan, of_time=True):
         requirement = plan.keys.require[place]
         verdicts.append((_of_time if requirement.share is None else _verdict)(plan, place, requirement, case, rows))
@@ -104,10 +104,10 @@ def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     why += f"; {counted(int(runs.crashed.sum()), 'run')} crashed" * bool(runs.crashed.any())
     why += ". Not repeatable: another run takes another time, and no probability goes with it."
     found = _Finding(outcome, worst, UNKNOWN, why)
-    return _stated(plan, place, requirement, case, found, rows.seeds, int(runs.crashed.sum()))
+    return _statement(plan, place, requirement, case, found, rows.seeds, int(runs.crashed.sum()))
 
 
-def _judged(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[Verdict, ...]:
+def _verdicts(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[Verdict, ...]:
     @cache
     def verdict(index: int, taken: int) -> Verdict:
         place, case = cases[index]
@@ -134,7 +134,7 @@ class _Finding:
     why: str
 
 
-def _stated(
+def _statement(
     plan: Plan, place: int, requirement: Requirement, case: Case, found: _Finding, seeds: int, crashed: int, **more: Any
 ) -> Verdict:
     """The verdict, with `more` of its fields by name."""
@@ -184,7 +184,7 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
         why.append(NO_TRACKS)
     if keys.level == "family":
         why.append(f"Judged at {wording.percent(requirement.confidence)}, by Holm for all verdicts together.")
-    return _stated(
+    return _statement(
         *(plan, place, requirement, case, replace(found, why=" ".join(why))),
         int(np.count_nonzero(~runs.undefined)),
         int(runs.crashed.sum()),
@@ -212,7 +212,7 @@ def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case,
     why += _false_tracks(plan, rows, case)
     if rows.seeds < plan.keys.seeds.traffic:
         why += f" It is judged when all {plan.keys.seeds.traffic:,} traffic seeds are done."
-    return _stated(plan, place, requirement, case, _Finding(outcome, counts.share, bounds, why), rows.seeds, crashed)
+    return _statement(plan, place, requirement, case, _Finding(outcome, counts.share, bounds, why), rows.seeds, crashed)
 
 
 def _false_tracks(plan: Plan, rows: SeedRows, case: Case) -> str:

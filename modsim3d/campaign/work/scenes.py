@@ -139,9 +139,9 @@ class DetectorChoice:
         """From the values of a condition; paths in them are relative to the folder."""
         named, place = values.get("detector"), values.get("from")
         return cls(
-            None if named is None else located(named, folder, shipped_detectors()),
+            None if named is None else resolve(named, folder, shipped_detectors()),
             values.get("state"),
-            None if place is None else located(place, folder, ("conditions",)),
+            None if place is None else resolve(place, folder, ("conditions",)),
             {key: value for key, value in values.items() if key.startswith("detector.")},
         )
 
@@ -154,7 +154,7 @@ class DetectorChoice:
         return Path(named) if named else detector_file(scene_file)
 
 
-def located(name: Any, folder: Path, shipped: Any) -> str:
+def resolve(name: Any, folder: Path, shipped: Any) -> str:
     """A shipped name as it is, and a path from the folder; InputError if it is no text."""
     if not isinstance(name, str):
         raise InputError("campaign", [f"a file or the name of a shipped one is text (got {shown(name)})"])
@@ -195,9 +195,9 @@ class Scenes:
         choice = DetectorChoice.of(condition.of_detector(), self.folder)
         if not self._learned:
             return choice
-        scene = find_scene(located(condition.scene, self.folder, shipped_scenes()))
+        scene = find_scene(resolve(condition.scene, self.folder, shipped_scenes()))
         named = digest(str(scene), choice.detector, choice.state, choice.state_from)
-        file, known = self._known.get(named, lambda: _known(choice.file(scene)))
+        file, known = self._known.get(named, lambda: _uncertainty(choice.file(scene)))
         try:
             drawn = drawn_detector(known, seed)
         except ModsimError as error:
@@ -213,7 +213,7 @@ class Scenes:
 
     def _load(self, condition: Condition, seed: int, choice: DetectorChoice, detector_seed: int | None = None) -> Scene:
         return load_scene(
-            located(condition.scene, self.folder, shipped_scenes()),
+            resolve(condition.scene, self.folder, shipped_scenes()),
             seed=seed,
             detector_seed=detector_seed,
             steps=self._steps,
@@ -235,7 +235,7 @@ def _detector(choice: DetectorChoice, scene_file: Path) -> DetectorModel:
     )[0]
 
 
-def _known(file: Path) -> tuple[Path, LearnedUncertainty]:
+def _uncertainty(file: Path) -> tuple[Path, LearnedUncertainty]:
     return file, read_uncertainty(file)
 
 
@@ -245,4 +245,4 @@ def detector_file(scene_file: Path) -> Path:
     named = data.get("detector") if isinstance(data, dict) else None
     if not isinstance(named, str):
         raise InputError(f"scene {scene_file}", ["detector: is missing"])
-    return find_detector(located(named, scene_file.resolve().parent, shipped_detectors()))
+    return find_detector(resolve(named, scene_file.resolve().parent, shipped_detectors()))

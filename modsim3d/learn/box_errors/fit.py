@@ -62,7 +62,7 @@ class Gate:
         """Log-probability to pass of each box, shape (n,), and mean statistics of what fails over it, (n, s)."""
         from scipy.sparse import csr_array  # slow to import
 
-        standard = drawn(model, self.normal)
+        standard = errors_from(model, self.normal)
         fails = _fails(model, self.sample, standard)
         number = np.count_nonzero(fails, axis=1)
         chance = np.maximum(1 - number / fails.shape[1], _MIN_PASSING)
@@ -94,7 +94,7 @@ def _points_of(boxes: int, number: int) -> Array:
     return points
 
 
-def drawn(model: ErrorModel, normal: Array) -> Array:
+def errors_from(model: ErrorModel, normal: Array) -> Array:
     """Standardised errors (..., 4) from normal numbers (..., 5), the last of which gives the scale of heavy tails."""
     values, vectors = np.linalg.eigh(model.correlation)
     standard: Array = normal[..., :4] @ ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T)
@@ -107,7 +107,7 @@ def drawn(model: ErrorModel, normal: Array) -> Array:
 
 def _may_fail(model: ErrorModel, edges: MatchedEdges) -> Mask:
     """Whether some point of each box fails, shape (n,)."""
-    standard = drawn(model, normal_points(len(edges), _POINTS))
+    standard = errors_from(model, normal_points(len(edges), _POINTS))
     mean, std = model.at(edges.sides_px)
     largest = np.abs(mean) + std * np.maximum(standard.max(axis=1), -standard.min(axis=1))
     rows = np.flatnonzero(~edges.surely_passes(largest @ np.abs(OUTWARD).T))
@@ -387,7 +387,7 @@ def _broyden(inverse: Array, moved: Array, change: Array) -> Array:
 
 def _expected_information(model: ErrorModel, edges: MatchedEdges) -> Array:
     """Information that boxes would carry if all edges were known and matching cut off nothing, shape (p, p)."""
-    statistics = model.statistics(drawn(model, normal_points(1, 1024)[0]))
+    statistics = model.statistics(errors_from(model, normal_points(1, 1024)[0]))
     covariance = statistics.T @ statistics / len(statistics)
     gains, places = model.gains(edges.sides_px), model.places
     information = covariance[np.ix_(places, places)] * (gains.T @ gains)

@@ -174,7 +174,7 @@ def exclusions(
         beyond += np.bincount(away.vessel[is_beyond], minlength=len(scene.vessels))
         counts[Reason.OFF] += np.bincount(away.vessel[~is_beyond], minlength=len(scene.vessels))
         pieces.append(away.later(first))
-    told = (*_told(scene, counts, len(times_s), fresh.stale_s), *_told_beyond(beyond))
+    told = (*_sentences(scene, counts, len(times_s), fresh.stale_s), *_beyond_sentences(beyond))
     return Exclusions(rows, np.concatenate(boxes), Regions.join(pieces), told)
 
 
@@ -182,7 +182,7 @@ _NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.
 _AT_ONCE = 1_000_000  # frames times vessels, at some 60 bytes each
 
 
-def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
+def _sentences(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
     limit = f"{stale_s:g} s" + (f" ({SLOW_STALE_S:g} s below {SLOW_KN:g} kn)" if stale_s < SLOW_STALE_S else "")
     for column, name in enumerate(scene.vessel_names):
         if parts := [
@@ -191,7 +191,7 @@ def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: 
             yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
 
 
-def _told_beyond(beyond: Indices) -> Iterator[str]:
+def _beyond_sentences(beyond: Indices) -> Iterator[str]:
     """Sentences on vessels that come or go, given their numbers of boxes just beyond their tracks, shape (V,)."""
     if beyond.any():
         vessels = counted(int(np.count_nonzero(beyond)), "vessel is", "vessels are")

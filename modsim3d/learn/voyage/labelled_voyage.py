@@ -125,7 +125,7 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     """Frames of a log with the scene's truth, rendered as that of a run. Vessels whose AIS is stale, jumps or is off
     count neither for nor against a detector. Raises ModsimError if no frame is within the scene, boxes fit its vessels
     in another reading, or the truth cannot be made."""
-    known = _known(options)
+    known = _prior_means(options)
     log = replace(log, scene=known.scene_of(log.scene))
     reports = read_reports(log.scene.path)
     fresh = ReportAge(log.scene, reports, options.stale_s)
@@ -149,7 +149,7 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     return replace(whole, labelled=replace(whole.labelled, images=images, notes=tuple(notes)))
 
 
-def _known(options: VoyageOptions) -> KnownMeans:
+def _prior_means(options: VoyageOptions) -> KnownMeans:
     return options.registration.known if isinstance(options.registration, RegistrationOptions) else NOTHING_KNOWN
 
 
@@ -204,7 +204,7 @@ class _CameraSet:
         view = View(self.camera, self.poses, np.arange(len(self.times_s)), moved=self.moved)
         registered = []
         if self.registration is not None:
-            known = _known(self.options)
+            known = _prior_means(self.options)
             registered = [CameraFit(self.log.source, self.registration, self.frames.clock_s, known)]
         return LabelledVoyage(self._labelled(), self.scene, (view,), tuple(registered))
 

@@ -39,7 +39,7 @@ def frame_table(block: Block, scene: Scene) -> pa.Table:
         tables.append(
             {
                 **_keys(block, part, scene, part.steps),
-                "state": named(states, part.detections.states),
+                "state": names_of(states, part.detections.states),
                 "n_annotated": numbers(np.bincount(annotated, minlength=frames)),
                 "n_detected": numbers(np.bincount(part.detections.frame[~false], minlength=frames)),
                 "n_false": numbers(np.bincount(part.detections.frame[false], minlength=frames)),
@@ -57,8 +57,8 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
         tables.append(
             {
                 **_keys(block, part, scene, truth.step),
-                "vessel": named(scene.vessel_names, truth.vessel),
-                "label": named(labels, truth.vessel),
+                "vessel": names_of(scene.vessel_names, truth.vessel),
+                "label": names_of(labels, truth.vessel),
                 **_box_columns("full", truth.full_boxes_px),
                 **_box_columns("visible", truth.visible_boxes_px),
                 **{name: numbers(getattr(truth, name)) for name in TRUTH_NUMBERS},
@@ -83,7 +83,7 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
             {
                 **_keys(block, part, scene, part.steps[detections.frame]),
                 **detection_columns(detections, scene.detector),
-                "vessel": named(scene.vessel_names, vessels),
+                "vessel": names_of(scene.vessel_names, vessels),
                 "iou": numbers(overlap),
             }
         )
@@ -95,25 +95,25 @@ def detection_columns(detections: Detections, model: DetectorModel) -> dict[str,
     starts = np.searchsorted(detections.frame, detections.frame)
     return {
         "detection": numbers(np.arange(len(detections)) - starts),
-        "label": named(model.labels, detections.label),
+        "label": names_of(model.labels, detections.label),
         "confidence": numbers(detections.confidence),
         **_by_name(BOX_SIDES, detections.boxes_px),
         **_by_name(CENTRE_FORM, centre_form(detections.boxes_px)),
-        "state": named([state.name for state in model.states], detections.states[detections.frame]),
-        "kind": named(KINDS, detections.kind),
+        "state": names_of([state.name for state in model.states], detections.states[detections.frame]),
+        "kind": names_of(KINDS, detections.kind),
         **_by_name(ERRORS, detections.errors_px),
     }
 
 
 def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:
     return {
-        "camera": named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
+        "camera": names_of([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
         "step": numbers(step),
-        "timestamp": named(block.timestamps, step - block.first),
+        "timestamp": names_of(block.timestamps, step - block.first),
     }
 
 
-def named(names: Sequence[str], indices: Indices) -> pa.Array:
+def names_of(names: Sequence[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
     return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
 
@@ -135,7 +135,7 @@ def _box_columns(prefix: str, boxes_px: Array) -> dict[str, pa.Array]:
 def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
     truth = part.truth
     entries = pa.StructArray.from_arrays(
-        [named(scene.occluder_names, truth.occluder), numbers(truth.occluder_px)], names=["id", "px"]
+        [names_of(scene.occluder_names, truth.occluder), numbers(truth.occluder_px)], names=["id", "px"]
     )
     return pa.ListArray.from_arrays(numbers(truth.occluder_offsets.astype(np.int32)), entries)
 

@@ -79,7 +79,7 @@ def report(traffic: AisTraffic) -> dict[str, Any]:
                 "file": tally.path.name,
                 "format": tally.format,
                 "messages": tally.messages,
-                "left_out": _some(tally.dropped),
+                "left_out": _positive(tally.dropped),
                 "problems": tally.problems,
             }
             for tally in traffic.files
@@ -112,11 +112,11 @@ def _vessel(traffic: AisTraffic, vessel: VesselTrack) -> dict[str, Any]:
         "air_draft_m": hull.air_draft_m,
         "centre_from_antenna_m": {"ahead": hull.ahead_m, "to_port": hull.to_port_m},
         "defaults": hull.defaults,
-        "replaced": _some(vessel.replaced),
+        "replaced": _positive(vessel.replaced),
     }
 
 
-def _some(counts: Counter[str]) -> dict[str, int]:
+def _positive(counts: Counter[str]) -> dict[str, int]:
     return {name: count for name, count in sorted(counts.items()) if count}
 
 
@@ -142,16 +142,16 @@ def warning(traffic: AisTraffic) -> str | None:
 
 
 def _dropped(traffic: AisTraffic) -> dict[str, int]:
-    return {name: count for name, count in _some(traffic.dropped).items() if name in REASONS}
+    return {name: count for name, count in _positive(traffic.dropped).items() if name in REASONS}
 
 
 def _replaced(traffic: AisTraffic) -> dict[str, int]:
     """Replacement → number of missing values of used messages that it stands for."""
-    return _some(sum((vessel.replaced for vessel in traffic.vessels), Counter[str]()))
+    return _positive(sum((vessel.replaced for vessel in traffic.vessels), Counter[str]()))
 
 
 def _defaults(traffic: AisTraffic) -> dict[str, int]:
-    return _some(Counter(name for vessel in traffic.vessels for name in vessel.hull.defaults))
+    return _positive(Counter(name for vessel in traffic.vessels for name in vessel.hull.defaults))
 
 
 def summary_rows(traffic: AisTraffic) -> list[tuple[str, list[tuple[str, str, str]]]]:

@@ -152,7 +152,7 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
         raise _nothing_left(gathered, options)
     elsewhere, camera = [track.mmsi for track in tracks if not len(track.steps)], _camera(vessels)
     options.check_labels(track.hull.group for track in vessels)
-    left_out = _left_out(senders, {track.mmsi for track in tracks})
+    left_out = _dropped_ships(senders, {track.mmsi for track in tracks})
     odd = next((tally.odd for tally in gathered.files if tally.odd), "") or _odd(positions, origin)
     found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, odd
     return AisTraffic(options, gathered.files, *found)
@@ -181,7 +181,7 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
     return ""
 
 
-def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:
+def _dropped_ships(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:
     reasons: dict[int, dict[str, int]] = {}
     for (mmsi, reason), count in sorted(senders.items()):
         if mmsi not in kept:

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.csv import rounded
-from modsim3d.io.coprocess import Coprocess, shown_line
+from modsim3d.io.coprocess import Coprocess, quote
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.validation import NeedText, Number, Probability, Strict, describe
 from modsim3d.runs.run_rows import RunRows
@@ -135,7 +135,7 @@ def parsed(model: type[Any], line: bytes) -> Any:
             problems = [f"this is no JSON: {first['ctx']['error'].replace(' at line 1', ' at')}"]
         if not line.lstrip().startswith(b"{"):
             problems = ["a line of JSON is needed"]
-        raise ModsimError(f"it answered {shown_line(line)}: {'; '.join(problems[:3])}") from None
+        raise ModsimError(f"it answered {quote(line)}: {'; '.join(problems[:3])}") from None
 
 
 def image_frames(answer: ImageAnswer, cameras: Sequence[str], labels: Sequence[str]) -> dict[str, TrackedFrame]:
@@ -219,13 +219,13 @@ _LOCATED = (
 
 def _detections(frame: WorldFrame, labels: Sequence[str], world: bool) -> list[dict[str, Any]]:
     sensed, keys = frame.sensed, ("box_px", "label", "confidence", *(_LOCATED if world else ()))
-    located = [_known(rounded(value)) for value in vars(frame.located).values()] if world else []
+    located = [_finite_items(rounded(value)) for value in vars(frame.located).values()] if world else []
     named = [labels[label] for label in sensed.label.tolist()]
     rows = zip(sensed.boxes_px.tolist(), named, sensed.confidence.tolist(), *located, strict=True)
     return [dict(zip(keys, row, strict=True)) for row in rows]
 
 
-def _known(values: Array) -> list[Any]:
+def _finite_items(values: Array) -> list[Any]:
     """A list of n things, with None for those that are not wholly known."""
     return [each if np.isfinite(each).all() else None for each in values.tolist()]
 

@@ -115,7 +115,7 @@ def named_tracker(tracker: str | Model, settings: Mapping[str, object], scene: s
     name = tracker if isinstance(tracker, str) else model.__name__
     defaults, chosen = ({}, DEFAULTS) if scene is None else chosen_settings(name, model, scene)
     given = {str(key): plain(value) for key, value in settings.items()}
-    return NamedTracker(name, _validated(model, {**defaults, **given}, name, plugin), plugin, _chosen(chosen, given))
+    return NamedTracker(name, _validated(model, {**defaults, **given}, name, plugin), plugin, _choice(chosen, given))
 
 
 def command_tracker(
@@ -145,7 +145,7 @@ def command_tracker(
     return NamedTracker(name or Path(called).stem, tracker, None, "those that are given")
 
 
-def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
+def _choice(chosen: str, given: Mapping[str, Any]) -> str:
     if not given:
         return chosen
     if chosen == DEFAULTS:

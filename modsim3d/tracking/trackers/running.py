@@ -55,7 +55,7 @@ class Answers:
         box = "a box is x_min, y_min, x_max, y_max, with a positive width and height, not"
         index = f"a label is an index from 0 to {labels - 1}, or -1 for none, not"
         checks: tuple[tuple[Mask, str, Array | Indices], ...] = (
-            (_twice(self.frame, self.track), "two boxes have the track", self.track),
+            (_repeats(self.frame, self.track), "two boxes have the track", self.track),
             (~np.isfinite(self.boxes_px).all(axis=1), "a box must be finite, not", self.boxes_px),
             (~upright, box, self.boxes_px),
             ((self.label < -1) | (self.label >= labels), index, self.label),
@@ -88,7 +88,7 @@ def world_tracks_of(name: str, answers: Sequence[WorldTrackedStep], times_s: Arr
     step = np.repeat(np.arange(len(parts)), [len(each[0]) for each in parts])
     track, position, velocity, covariance = (np.concatenate(each) for each in zip(none, *parts, strict=True))
     checks: tuple[tuple[Mask, str, Array | Indices], ...] = (
-        (_twice(step, track), "two estimates have the track", track),
+        (_repeats(step, track), "two estimates have the track", track),
         (~np.isfinite(position).all(axis=1), "a position must be finite, not", position),
         (np.isinf(velocity).any(axis=1), "a velocity must be finite, or NaN where unknown, not", velocity),
         (~_definite(covariance), "this is no covariance of position and velocity:", covariance),
@@ -112,7 +112,7 @@ def _world_columns(answer: WorldTrackedStep, refuse: Refuse) -> tuple[Any, ...]:
     return track.astype(np.int64), position, velocity, whole
 
 
-def _twice(at: Indices, track: Indices) -> Mask:
+def _repeats(at: Indices, track: Indices) -> Mask:
     """Whether a track was there before at the same place of the sequence, shape (k,)."""
     order = np.lexsort((track, at))
     twice = np.zeros(len(order), dtype=bool)
@@ -127,7 +127,7 @@ def _refuse_first(
     for wrong, text, column in checks:
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise problem(int(at[row]), f"track {track[row]}: {text} {_shown(column[row])}")
+            raise problem(int(at[row]), f"track {track[row]}: {text} {_numbers_text(column[row])}")
 
 
 def _columns(answer: TrackedFrame, refuse: Refuse) -> tuple[Any, ...]:
@@ -198,7 +198,7 @@ def _definite(covariance: Array) -> Mask:
     return possible & (whole | nothing_more)
 
 
-def _shown(value: Any) -> str:
+def _numbers_text(value: Any) -> str:
     return ", ".join(f"{number:g}" for number in np.ravel(value).tolist())
 
 

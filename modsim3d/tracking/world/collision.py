@@ -54,10 +54,10 @@ def met_vessels(following: WorldMatching, within_m: float = ENCOUNTER_M) -> tupl
     since both are there, has not met her."""
     own_ships = following.truth.own_ships
     vessels = [index for index in range(len(following.truth.names)) if index not in own_ships]
-    return tuple(met for own in own_ships for vessel in vessels for met in _met(following, own, vessel, within_m))
+    return tuple(met for own in own_ships for vessel in vessels for met in _meetings(following, own, vessel, within_m))
 
 
-def _met(following: WorldMatching, own: int, vessel: int, within_m: float) -> Iterator[MetVessel]:
+def _meetings(following: WorldMatching, own: int, vessel: int, within_m: float) -> Iterator[MetVessel]:
     truth = following.truth
     centres_m, times_s = truth.hulls.centres_m, truth.times_s
     closest_m, closest_s = closest_approach(times_s, centres_m[:, own], centres_m[:, vessel])

@@ -37,7 +37,7 @@ class WorldTruth:
         """The truth of a run."""
         scene = rows.scene
         hulls = hull_tracks(scene.vessels, scene.poses, rows.steps)
-        scored = seen(rows).any(axis=1) & np.isfinite(hulls.centres_m[..., 0])
+        scored = visibility(rows).any(axis=1) & np.isfinite(hulls.centres_m[..., 0])
         scored[:, list(scene.own_ships)] = False
         return cls(scene.vessel_names, scene.own_ships, hulls, scored)
 
@@ -93,7 +93,7 @@ def in_last_frames(rows: RunRows, frame: Indices, vessel: Indices, value: Indice
     return found[np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))]
 
 
-def seen(rows: RunRows) -> Mask:
+def visibility(rows: RunRows) -> Mask:
     """Whether each camera's last frame has a visible pixel of each vessel at each step, shape (S, C, V). Where it is
     unknown what is visible, a vessel in the image is taken as seen, as in `TrueTracks`."""
     visible = rows.numbers("visible_px") != 0

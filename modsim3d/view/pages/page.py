@@ -79,7 +79,7 @@ def with_contents(content: str) -> str:
 
 def document_page(document: doc.Document, rests_on: Provenance) -> str:
     """A whole page of a document."""
-    blocks = doc.shown([*document.lead, *document.blocks], doc.Where.PAGE)
+    blocks = doc.blocks_at([*document.lead, *document.blocks], doc.Where.PAGE)
     return page(document.title, map(html_of, blocks), rests_on)
 
 

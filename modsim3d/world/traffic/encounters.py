@@ -84,7 +84,7 @@ def _draw(chart: Chart, name: str, keys: EncounterKeys, ordinal: int, own: Track
     for attempt in range(TRIES):
         rng = chart.streams.generator(Purpose.TRAFFIC_ENCOUNTER, name, str(ordinal), step=attempt)
         if attempt == 0 or attempt >= KEPT_TRIES:
-            asked = _asked(chart, keys, own.speed_m_s, rng)
+            asked = _meeting(chart, keys, own.speed_m_s, rng)
         if asked is None:
             continue
         speeds = _speeds(chart, keys, asked.vessel, asked.kind, own.speed_m_s)
@@ -99,7 +99,7 @@ def _draw(chart: Chart, name: str, keys: EncounterKeys, ordinal: int, own: Track
     return None
 
 
-def _asked(chart: Chart, keys: EncounterKeys, own_speed: float, rng: np.random.Generator) -> _Meeting | None:
+def _meeting(chart: Chart, keys: EncounterKeys, own_speed: float, rng: np.random.Generator) -> _Meeting | None:
     """Meeting drawn for the request; None if no kind has a speed for it."""
     vessel, closest, time, side, which = rng.random(5)
     kind = keys.kind
@@ -152,14 +152,14 @@ def _track(
     free = ~shapely.dwithin(shapely.linestrings(np.array(ways)), land, aside)
     if not free.any():
         return None
-    straight = _through(hull, speed, meeting, ahead, asked.time_s, ways[0])
+    straight = _detour(hull, speed, meeting, ahead, asked.time_s, ways[0])
     if free[0] and chart.waters.judge([straight]).track is not None:
         return straight
     steady = asked.time_s - STEADY_S[0], asked.time_s + STEADY_S[1]
     if not free[1:].any() or not chart.waters.is_clear(straight, *steady):
         return None
     bent = [
-        _through(hull, speed, meeting, ahead, asked.time_s, way) for way, free in zip(ways, free, strict=True) if free
+        _detour(hull, speed, meeting, ahead, asked.time_s, way) for way, free in zip(ways, free, strict=True) if free
     ]
     return chart.waters.judge(bent).track
 
@@ -206,7 +206,7 @@ def _waypoints(
     return np.array([far_0, corner_0, corner_1, far_1])
 
 
-def _through(hull: DrawnHull, speed: float, place: Array, ahead: Array, time_s: float, waypoints: Array) -> Track:
+def _detour(hull: DrawnHull, speed: float, place: Array, ahead: Array, time_s: float, waypoints: Array) -> Track:
     """The track through waypoints that is at a place at a time, on a course given as a direction."""
     path = rounded(waypoints, EASY * hull.turning_radius_m)
     nearest = int(np.argmin(((path.places_m - place) ** 2).sum(axis=1)))

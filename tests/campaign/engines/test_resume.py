@@ -289,14 +289,14 @@ def decided_by_the_second_seed(plan: Plan, table: pa.Table) -> tuple[Verdict, ..
 
 @pytest.fixture
 def decided(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
+    monkeypatch.setattr(running, "judge", decided_by_the_second_seed)
 
 
 @pytest.fixture(scope="module")
 def one_by_one(campaigns: Campaigns) -> Content:
     """What comes of a campaign that is decided by two of four seeds."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "judged", decided_by_the_second_seed)
+        patch.setattr(running, "judge", decided_by_the_second_seed)
         result = campaigns.run("sequential", ThisProcess, "one_by_one")
     assert result.table["run"].to_pylist() == list(range(4))
     return content(campaigns.folder / "one_by_one")

@@ -157,14 +157,5 @@ def test_a_file_of_another_kind_is_not_repeated(inputs: Inputs, refused: Refused
 def test_nor_is_one_that_is_given_as_a_sequence(call: Call, inputs: Inputs, tmp_path: Path) -> None:
     call("run", inputs.write(), "--out", tmp_path / "run", "--no-sheet")
     (tmp_path / "file").write_text("root:secret:0:0\nother:secret\n")
-    line = (
-        "learn",
-        tmp_path / "run",
-        "--out",
-        tmp_path / "out.yaml",
-        "--sequence",
-        tmp_path / "file",
-        "--time-step",
-        1,
-    )
+    line = ("learn", tmp_path / "run", "--out", tmp_path / "o.yaml", "--sequence", tmp_path / "file", "--time-step", 1)
     assert "secret" not in refusal(call, line, "--sequence:\n  names no state in any line")

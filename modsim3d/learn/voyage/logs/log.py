@@ -212,10 +212,10 @@ class LogRows:
             notes=tuple(notes),
             form=self.form,
         )
-        return _once(log)
+        return _unique(log)
 
 
-def _once(log: DetectionLog) -> DetectionLog:
+def _unique(log: DetectionLog) -> DetectionLog:
     """The log with each detection once, and a remark if some are there again."""
     sure = np.nan_to_num(log.confidence, nan=NOT_GIVEN)
     _, first = np.unique(np.column_stack([log.frame, log.label, sure, log.boxes_px]), axis=0, return_index=True)

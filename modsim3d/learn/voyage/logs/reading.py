@@ -88,7 +88,7 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     """The log of a bag, a folder or a file of it; topic `/bow/detections` is of camera `bow`. Raises ModsimError if it
     cannot be read, has no such topic, or rosbags is missing."""
     source = f"detections {path}"
-    messages = list(read_bag(path, "detections", partial(_chosen, source), _message))
+    messages = list(read_bag(path, "detections", partial(_box_topics, source), _message))
     problems = Problems(source, options.skip_bad)
     topics = {_camera(topic): topic for topic, _, _ in messages}
     every = [(topic, stamp, k, found) for topic, stamp, message in messages for k, found in enumerate(message)]
@@ -131,7 +131,7 @@ Found = tuple[list[float], str | None, float | None, float]
 """Left, top, width and height, label and score, and the angle by which the box is turned."""
 
 
-def _chosen(source: str, topics: Mapping[str, str]) -> list[str]:
+def _box_topics(source: str, topics: Mapping[str, str]) -> list[str]:
     wanted = [topic for topic, kind in topics.items() if kind == DETECTIONS_2D]
     if not wanted:
         got = ", ".join(f"{topic} ({kind})" for topic, kind in topics.items()) or "no topic"
@@ -141,10 +141,10 @@ def _chosen(source: str, topics: Mapping[str, str]) -> list[str]:
 
 def _message(message: BagMessage) -> tuple[str, int, list[Found]]:
     """Topic, stamp in nanoseconds and detections of a message."""
-    return message.topic, message.stamp_ns, [_found(each) for each in message.content.detections]
+    return message.topic, message.stamp_ns, [_detection(each) for each in message.content.detections]
 
 
-def _found(detection: Any) -> Found:
+def _detection(detection: Any) -> Found:
     box = detection.bbox
     centre = getattr(box.center, "position", box.center)  # vision_msgs 2 and 3 have x and y in the pose itself
     sides = [centre.x - box.size_x / 2, centre.y - box.size_y / 2, box.size_x, box.size_y]

@@ -220,11 +220,11 @@ class Sides:
         boxes = sightings.boxes_px
         with np.errstate(invalid="ignore"):
             near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
-        sure: Mask = ~(np.concatenate([near, far], axis=1) | _hidden(sightings, known, images))
+        sure: Mask = ~(np.concatenate([near, far], axis=1) | _covered_sides(sightings, known, images))
         return cls(np.concatenate([centre - half, centre + half], axis=1), sure, near[:, 0] | far[:, 0])
 
 
-def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
+def _covered_sides(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
     """Mask of the sides in the box of a known vessel, or just beside it, shape (n, 4)."""
     hidden = np.zeros((len(sightings), 4), dtype=bool)
     for row, vessel in image_pairs(sightings.image, known.image, images):

@@ -120,7 +120,7 @@ def estimate(
         return _with_drift(aligner, aligned, free, offsets_m, noise_m)
     aligned, effects, together = _with_effects(aligner, aligned, free, offsets_m)
     linear = linearized(aligner, aligned)
-    return LastFit(aligned, linear, effects, _known(linear, free, aligned, effects, together))
+    return LastFit(aligned, linear, effects, _knowledge(linear, free, aligned, effects, together))
 
 
 def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
@@ -174,8 +174,8 @@ def _with_effects(
     """The alignment with what is wrong with single vessels, and how many rows count as one."""
     for _ in range(EFFECT_ROUNDS):
         linear, residuals = linearized(aligner, aligned), aligned.residuals
-        together = _together(linear, free, residuals)
-        effects = _effects(Linear(linear.slopes, _without(linear, aligned)), free, residuals, together, offsets_m)
+        together = _rows_in_one(linear, free, residuals)
+        effects = _effects(Linear(linear.slopes, _bare_errors(linear, aligned)), free, residuals, together, offsets_m)
         if not effects.spreads.any():
             break
         unknowns = Unknowns(free, effects.spreads / np.sqrt(together), effects.vessels)
@@ -191,20 +191,20 @@ def _effects(
     return parameters.vessel_effects(own, rows.residuals, columns(rows, free), residuals.vessel, together, offsets_m)
 
 
-def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResiduals) -> float:
+def _rows_in_one(linear: Linear, free: tuple[str, ...], residuals: SightingResiduals) -> float:
     """Number of rows that count as one, because box errors last: the ratio of variances with and without clusters."""
     part = Linear(columns(linear, free), linear.residuals)
     alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
     return max(float(np.median((part.known_by(blocks_of(residuals)).errors / np.maximum(alone, 1e-300)) ** 2)), 1.0)
 
 
-def _without(linear: Linear, aligned: Alignment) -> Array:
+def _bare_errors(linear: Linear, aligned: Alignment) -> Array:
     """Scaled residuals with all values of vessels zero, shape (m,)."""
     values = aligned.values.vessels[aligned.residuals.vessel] / parameters.plausible(OF_A_VESSEL_NAMES)
     return np.asarray(linear.residuals - (linear.slopes[:, OWN] * values).sum(axis=1))
 
 
-def _known(
+def _knowledge(
     linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: parameters.VesselEffects, together: float
 ) -> Knowledge:
     """Knowledge of the free shared values; vessels are clusters, and share what is wrong with them."""
@@ -213,7 +213,7 @@ def _known(
     if not effects.spreads.any():
         return wider(part.known_by(vessel), part.known_by(blocks))
     spreads = effects.spreads / parameters.plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
-    shared = Linear(part.slopes, _without(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
+    shared = Linear(part.slopes, _bare_errors(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
     by_model = shared.known_by_model(together, float(len(effects.vessels)))
     return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
 
@@ -241,7 +241,7 @@ def _with_drift(
             raise ModsimError(f"registration: no match is left where positions are off by {noise_m:g} m")
         fitted = _round(aligner, matched, free, constant, late, noise_m, together)
         aligned, rows, vessel = fitted.aligned, fitted.rows, fitted.aligned.residuals.vessel
-        together = _together(rows.whitened(fitted.axes / np.sqrt(together), vessel), free, aligned.residuals)
+        together = _rows_in_one(rows.whitened(fitted.axes / np.sqrt(together), vessel), free, aligned.residuals)
         steady = rows.whitened(fitted.drifts / np.sqrt(together), vessel)
         effects = _effects(steady, free, aligned.residuals, together, offsets_m)
         constant = effects.spreads + late

@@ -94,7 +94,7 @@ def plausible(names: Iterable[str]) -> Array:
     return np.array([known[name] for name in names])
 
 
-def held(names: Iterable[str]) -> Mask:
+def flags(names: Iterable[str]) -> Mask:
     """Mask of shared parameters by their names with or without unit, (11,). Raises ModsimError if there is no such."""
     mask = np.zeros(len(SHARED), dtype=bool)
     for name in names:
@@ -176,7 +176,7 @@ def restricted_spreads(
     return np.asarray(np.where(squares < WORTH**2, 0.0, np.sqrt(squares)))
 
 
-def known_of(
+def vessel_values(
     effects: VesselEffects, covariance: Array, speeds_m_s: Array, names: Sequence[str]
 ) -> list[tuple[str, str, str, float, float]]:
     """Determined values of each vessel: name, words, unit, value and standard error. An offset along and a delay look

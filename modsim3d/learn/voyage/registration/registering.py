@@ -17,7 +17,7 @@ from modsim3d.learn.voyage.registration.estimating import PROBED, LastFit, block
 from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, BoxesAtTimes, Sightings
 from modsim3d.learn.voyage.registration.initial_guesses import check_matches, check_times, explained, rivals_of, starts
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
-from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, ConfoundedGroup, Linear, Values, held
+from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, ConfoundedGroup, Linear, Values, flags
 from modsim3d.scene.scene import Scene
 
 
@@ -160,7 +160,7 @@ _SIZES = _MEANS[2:]
 
 def _free_names(held_names: Sequence[str]) -> tuple[str, ...]:
     """Names of the shared parameters that are not held. Raises ModsimError if all are held, or a name is of none."""
-    free = tuple(name for name, is_held in zip(SHARED_NAMES, held(held_names), strict=True) if not is_held)
+    free = tuple(name for name, is_held in zip(SHARED_NAMES, flags(held_names), strict=True) if not is_held)
     if not free:
         raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
     return free
@@ -170,7 +170,7 @@ def _rules(
     fixed: Sequence[str], estimated: Container[str], groups: Sequence[ConfoundedGroup], known_means: Mapping[str, float]
 ) -> dict[str, str]:
     """Rule by which each parameter is held that is; those of `estimated` were free at first."""
-    rules = {name: "fixed by the user" for name, is_held in zip(SHARED_NAMES, held(fixed), strict=True) if is_held}
+    rules = {name: "fixed by the user" for name, is_held in zip(SHARED_NAMES, flags(fixed), strict=True) if is_held}
     rules |= {name: "mean errors are taken to be zero" for name in (*BY_RULE, *_SIZES) if name not in estimated}
     rules |= {group.held: f"not determined: {group.words()}" for group in groups}
     for name, value in known_means.items():
@@ -254,7 +254,7 @@ def _vessel_estimates(
     speeds = (totals / np.maximum(counts, 1))[effects.vessels]  # the last matches may be without one of them
     return tuple(
         RegisteredValue(name, words, unit, value, error, value - NORMAL * error, value + NORMAL * error)
-        for name, words, unit, value, error in parameters.known_of(effects, covariance, speeds, scene.vessel_names)
+        for name, words, unit, value, error in parameters.vessel_values(effects, covariance, speeds, scene.vessel_names)
     )
 
 

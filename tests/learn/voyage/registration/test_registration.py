@@ -389,7 +389,7 @@ def offsets(spread: float) -> tuple[parameters.VesselEffects, np.ndarray]:
 
 def test_offsets_of_vessels_at_constant_speed_are_known_as_one_shift_along_or_across() -> None:
     def known_at_3_m_s(effects: parameters.VesselEffects) -> list[tuple[str, str, str, float, float]]:
-        return parameters.known_of(effects, np.zeros((1, 1)), np.full(12, 3.0), [f"v{i}" for i in range(12)])
+        return parameters.vessel_values(effects, np.zeros((1, 1)), np.full(12, 3.0), [f"v{i}" for i in range(12)])
 
     effects, along = offsets(4.0)
     assert 2.5 < effects.spreads[0] < 6
