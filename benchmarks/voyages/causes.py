@@ -45,7 +45,7 @@ def film_causes(film: Film) -> dict[str, Any]:
     """`NUMBERS` of a film by variant and truth, and how many detections match another vessel than by full truth."""
     scene, some = film.scene(), VARIANTS["some"]
     full = by_tracks(film, AisErrors(), registered=False, replicates=REPLICATES)
-    labelled, settings = with_sure_boxes(full.told.voyage.labelled), full.sources.settings
+    labelled, settings = with_sure_boxes(full.voyage_report.voyage.labelled), full.sources.settings
     silent = np.isin(scene.vessel_names, some.silent(scene, film.seed))
     unknown = silent[labelled.annotations.identity]
     matched = match(labelled, settings.rule, settings.threshold)
@@ -57,12 +57,12 @@ def film_causes(film: Film) -> dict[str, Any]:
         Truth.SAME_VESSELS: _learned(own, settings),
         Truth.ALL_DETECTIONS: _learned(fewer, settings),
         Truth.TRACKS: tracks.report.learned,
-        Truth.IN_VIEW: _learned(tracks.told.voyage.labelled, settings),
+        Truth.IN_VIEW: _learned(tracks.voyage_report.voyage.labelled, settings),
         Truth.REPORTS: by_tracks(film, some, registered=False, replicates=REPLICATES).report.learned,
     }
     of_all = {
         Truth.FULL: by_truth[Truth.FULL],
-        Truth.IN_VIEW: _learned(full.told.voyage.labelled, settings),
+        Truth.IN_VIEW: _learned(full.voyage_report.voyage.labelled, settings),
         Truth.REPORTS: by_tracks(film, VARIANTS["all"], registered=False, replicates=REPLICATES).report.learned,
     }
     again = match(fewer, settings.rule, settings.threshold)

@@ -100,8 +100,8 @@ def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, are
 
 def bounds(learned: VoyageResult) -> np.ndarray:
     """Which components of the box error were said to be upper bounds, shape (4,)."""
-    (state,) = learned.told.taken_off.states
-    noisy = learned.told.taken_off.noise.position_m > 0
+    (state,) = learned.voyage_report.correction.states
+    noisy = learned.voyage_report.correction.noise.position_m > 0
     return np.zeros(4, dtype=bool) if state is None else ~state.taken_off & noisy
 
 

@@ -129,7 +129,7 @@ class BoxRows:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    told: str  # what is wrong then, and what would be right
+    sentence: str  # what is wrong then, and what would be right
     boxes_px: Array  # (k, 4)
     frame: Indices  # number of the frame: (k,)
     factor: float = _MUCH  # by which boxes must be nearer
@@ -139,7 +139,7 @@ class _Reading:
 class Misreading:
     """Sentence on a fault of a file, and whether boxes lie so near that their maker may err by as much."""
 
-    told: str
+    sentence: str
     slight: bool
 
 
@@ -157,7 +157,7 @@ def misreading(
     as_it_is = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
     now, best, meant, agreed = _median(as_it_is), _FITS, None, False
     for reading in (_form_readings if only_forms else _readings)(rows):
-        if reading.told.startswith(_LATE) and truth is not None:
+        if reading.sentence.startswith(_LATE) and truth is not None:
             continue  # a tracker with a latency of one frame looks the same
         away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
         both, half = np.isfinite(away) & np.isfinite(as_it_is), _median(away)
@@ -176,7 +176,7 @@ def misreading(
         row, nearest = known.nearest(rows.frame, boxes_px)
         unbiased_px = boxes_px - np.median(boxes_px[row] - known.boxes_px[nearest], axis=0)
         slight = _median(known.distances(rows.frame, unbiased_px) / diagonal_px) < _CLOSE * best
-    return Misreading(f"{meant.told} (then half of them lie within {fits})", slight)
+    return Misreading(f"{meant.sentence} (then half of them lie within {fits})", slight)
 
 
 def agree(rows: BoxRows, known: KnownBoxes) -> bool:
@@ -208,10 +208,10 @@ def implausible(rows: BoxRows) -> Misreading | None:
         snug = np.abs(reading.boxes_px - edges_px)[beyond].min(axis=1) <= _SNUG_PX
         moved = np.allclose(sizes(reading.boxes_px), sizes(now_px))  # as whole boxes that are cut nowhere may be
         fits = _beyond(reading.boxes_px, image_px).mean() <= _FITS_BETTER * beyond.mean()
-        cut = reading.told == _EXCHANGED and outside[beyond].mean() < _MANY  # whole boxes in upright images
+        cut = reading.sentence == _EXCHANGED and outside[beyond].mean() < _MANY  # whole boxes in upright images
         if fits and not cut and (not moved or snug.mean() > _MANY):
-            either = f", or width and height of the images are: {size}" if reading.told == _EXCHANGED else ""
-            return Misreading(f"{reading.told}{either} ({found})", False)
+            either = f", or width and height of the images are: {size}" if reading.sentence == _EXCHANGED else ""
+            return Misreading(f"{reading.sentence}{either} ({found})", False)
     reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
     reached = f"the first is of {size} px, and boxes reach from {reach}"
     if outside.mean() > _MAX_BEYOND:

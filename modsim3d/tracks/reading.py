@@ -244,7 +244,7 @@ def read_tracks(path: StrPath, run: StoredRun, rows: RunRows, cameras: Sequence[
     for file, (index, camera) in product(files, enumerate(rows.scene.cameras)):
         if problem := misreading(_box_rows(file, rows, index), known, truth):  # they are meant otherwise than read
             where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
-            raise InputError(file.problems.source, [where + problem.told])
+            raise InputError(file.problems.source, [where + problem.sentence])
     for file in files:
         file.check(rows)
     tracks = tracks_of(files, len(rows.scene.cameras))

@@ -89,7 +89,7 @@ def test_docstrings_begin_with_a_noun_or_a_verb_have_an_example_and_say_what_is_
         parameters = inspect.signature(part).parameters if inspect.isfunction(part) else {}
         assert not any(re.search(r"\bPath\b", str(value.annotation)) for value in parameters.values()), name
     # One that begins with `What`, `Which` and the like says little to who does not know already.
-    asides = re.compile(r"(How|Of|The same|Those|What|Where|Which|Why)\b")
+    asides = re.compile(r"(How|Of|The same|Those|What|Where|Which|Who|Why)\b")
     texts = {
         f"{path.name}: {getattr(node, 'name', 'module')}": ast.get_docstring(node) or ""
         for path in Path(modsim3d.__file__).parent.rglob("*.py")

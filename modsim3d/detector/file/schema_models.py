@@ -336,7 +336,7 @@ def _schedule(value: list[tuple[float, str | None]], info: ValidationInfo) -> li
 
 
 class PerformanceSection(Strict):
-    """Who shares the chain of states, and when a state is forced; null hands over to the chain again."""
+    """Sharing of the chain of states, and when a state is forced; null hands over to the chain again."""
 
     scope: Literal["shared", "per_camera"] = "shared"
     schedule: Annotated[list[tuple[NotNegative, str | None]], AfterValidator(_schedule)] = Field(default_factory=list)

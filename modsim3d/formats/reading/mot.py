@@ -101,7 +101,7 @@ class _Columns:
     to_label: Mapping[int, int]
     classed: str
     most_frames: int
-    said: Sequence[str]
+    remarks: Sequence[str]
     first: int  # number of the first frame, and of the first pixel
 
 
@@ -119,7 +119,7 @@ class SequenceLines:
     regions: Lines  # of truth that are to be ignored, whatever the class
     names: dict[int, str]  # of classes by number; none if there is one label alone
     first: int  # number of the first frame, and of the first pixel
-    said: Sequence[str]  # remarks
+    remarks: Sequence[str]
 
 
 def read_mot(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
@@ -160,7 +160,9 @@ def sequence_set(
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
     to_label = {number: order.index(name) for number, name in names.items()}
-    known = _Columns(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), lines.said, first)
+    known = _Columns(
+        to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), lines.remarks, first
+    )
     annotations = _annotations(annotated, known, problems)
     labels = len(order) if detected else 1  # detections may be matched label by label
     _add_regions(lines.regions, labels or 1, known, annotations, problems)
@@ -177,7 +179,7 @@ def sequence_set(
     for frame in range(max(info.frames, last)):
         time_s = math.nan if rate_hz is None else frame / rate_hz
         images.add(f"{condition} frame {frame + first}", info.size_px, time_s=time_s)
-    notes += lines.said
+    notes += lines.remarks
     if options.image_size_px and options.image_size_px != info.size_px:
         notes.append("--image-size is not used: seqinfo.ini says {:g} x {:g}".format(*info.size_px))
     only = (options.labels[0] if options.labels else "object",)
@@ -344,7 +346,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Columns
     elif to_label and number not in to_label:
         got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
-        problems.hint = next((told for told in known.said if told.startswith(where.partition(" line ")[0])), "")
+        problems.hint = next((told for told in known.remarks if told.startswith(where.partition(" line ")[0])), "")
     elif builder.valid_box(numbers[2:6], where, problems):
         return LabelledRow(int(frame) - known.first, to_label[number] if to_label else 0, numbers[2:6])
     return None

@@ -49,8 +49,8 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
         problem, files = misreading(*annotated, only_forms=True), files[::-1]
     if problem:
         if not problem.slight:
-            raise InputError(files[0], [f"{problem.told}, or {files[1]} is wrong, the other way round"])
-        note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
+            raise InputError(files[0], [f"{problem.sentence}, or {files[1]} is wrong, the other way round"])
+        note = f"{condition}: {problem.sentence}, or the detector has such a bias, which is learned"
         labelled = replace(labelled, notes=(*labelled.notes, note))
     unused = [
         f"{option} is not used: {kinds[0]} does not need it"
@@ -87,8 +87,8 @@ def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Pa
     for source, problem in zip((f"ground truth {truth}", f"detections {detections}"), problems, strict=True):
         if problem:
             if not problem.slight and not confirmed:
-                raise InputError(source, [problem.told])
-            notes.append(f"{source}: {problem.told}")
+                raise InputError(source, [problem.sentence])
+            notes.append(f"{source}: {problem.sentence}")
     if hidden := int(((rows.visible_fraction == 0) & ~rows.ignored).sum()):
         told = f"the visibility of {hidden:,} of {len(rows):,} boxes is 0: they count as fully hidden"
         notes.append(f"ground truth {truth}: {told}; some programs write 0 where it is not known")

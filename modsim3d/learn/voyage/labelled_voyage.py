@@ -141,9 +141,9 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     whole = joined_voyages(parts)
     rows, vessels = next(compared(whole.labelled, log.form))
     if problem := misreading(rows, vessels, only_forms=True):
-        raise InputError(log.source, [f"{problem.told}: they are of {log.scene.title}"])
+        raise InputError(log.source, [f"{problem.sentence}: they are of {log.scene.title}"])
     if problem := misreading(rows, vessels):
-        notes.append(f"{log.source}: {problem.told}, or the clock, the camera or the detector is so far off")
+        notes.append(f"{log.source}: {problem.sentence}, or the clock, the camera or the detector is so far off")
     number = len(whole.labelled.images)
     images = replace(whole.labelled.images, source=np.zeros(number, dtype=np.int64))  # cameras see the same traffic
     return replace(whole, labelled=replace(whole.labelled, images=images, notes=tuple(notes)))

@@ -43,12 +43,12 @@ Method = Literal["confidence", "optimal", "centre"]
 class VoyageResult(LearnResult):
     """A detector that was learned from a voyage, from `learn_voyage`, and what is `told` of the voyage."""
 
-    told: VoyageReport = field(kw_only=True)
+    voyage_report: VoyageReport = field(kw_only=True)
 
     @property
     def registered(self) -> tuple[truth.CameraFit, ...]:
         """The registration of each camera."""
-        return self.told.voyage.registered
+        return self.voyage_report.voyage.registered
 
 
 def learn_from(
@@ -149,7 +149,7 @@ class VoyageRequest:
         report, told = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
         files = (*dict.fromkeys([*read, *self.files]),)
         sources = Sources((self.scene.path,) * len(self.logs), self.logs, (), files, settings, call)
-        return VoyageResult(report, files, sources, voyage_sections(told), told=told)
+        return VoyageResult(report, files, sources, voyage_sections(told), voyage_report=told)
 
 
 def learn_voyage(

@@ -161,9 +161,9 @@ def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> lis
     outside = np.asarray(((log.boxes_px[:, :2] >= sizes) | (log.boxes_px[:, 2:] <= 0)).any(axis=1))
     rows = BoxRows(log.form.numbers_of(log.boxes_px), log.form, sizes.astype(np.float64), *[log.frame] * 3)
     if (odd := implausible(rows)) and not odd.slight:
-        raise InputError(log.source, [odd.told])
+        raise InputError(log.source, [odd.sentence])
     if not outside.any() or outside.mean() <= _MAX_OUTSIDE:
-        return [f"{log.source}: {odd.told}"] if odd else []
+        return [f"{log.source}: {odd.sentence}"] if odd else []
     first = int(np.argmax(outside))
     frame = int(log.frame[first])
     camera = scene.cameras[numbers[int(log.camera[frame])]]

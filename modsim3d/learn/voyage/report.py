@@ -243,25 +243,25 @@ class VoyageReport:
     """Report on a voyage besides the detector."""
 
     voyage: LabelledVoyage
-    judged: ClassifiedDetections  # which unmatched detections are of vessels without a transponder
-    taken_off: CorrectedDetector  # what errors of truth were taken off the box errors
+    classification: ClassifiedDetections  # which unmatched detections are of vessels without a transponder
+    correction: CorrectedDetector  # what errors of truth were taken off the box errors
     rates: tuple[StateRates, ...]  # of false positives in each state, as bounds and between them
     level: float  # of the intervals of the rates
 
     @cached_property
     def coverage(self) -> list[Coverage]:
         """Matches and misses of each camera."""
-        return sea_coverage.coverages(self.judged.telling, self.voyage.views)
+        return sea_coverage.coverages(self.classification.telling, self.voyage.views)
 
     @cached_property
     def missed(self) -> list[FrameStretch]:
         """Stretches in which vessels were missed."""
-        return sea_coverage.missed_stretches(self.voyage, self.judged)
+        return sea_coverage.missed_stretches(self.voyage, self.classification)
 
     @cached_property
     def unmatched(self) -> list[FrameStretch]:
         """Detections of nothing known."""
-        return sea_coverage.unmatched_stretches(self.voyage, self.judged)
+        return sea_coverage.unmatched_stretches(self.voyage, self.classification)
 
 
 # ---- What `modsim3d learn --json` says of a voyage ----
@@ -272,7 +272,7 @@ def voyage_json(told: VoyageReport) -> dict[str, Any]:
     return {
         "registration": [_registration_content(each) for each in told.voyage.registered],
         "false_positives_per_image": [_rates(each, told.level) for each in told.rates],
-        "box_errors": [_box_error(each) for each in told.taken_off.components()],
+        "box_errors": [_box_error(each) for each in told.correction.components()],
         "coverage": [
             {
                 "camera": each.camera,
@@ -360,7 +360,7 @@ def _registration(told: VoyageReport) -> Iterator[Block]:
 def _reference(told: VoyageReport) -> Iterator[Block]:
     yield Heading("What AIS does not see")
     yield Table(_RATES_TITLE, _HEADS, rows_of(told.rates, told.level))
-    if rows := told.taken_off.rows():
+    if rows := told.correction.rows():
         yield Heading("How well the truth is known")
         yield Table(truth_noise.TITLE, truth_noise.HEADER, rows)
 
@@ -384,4 +384,4 @@ def _worst(told: VoyageReport) -> Iterator[Block]:
 
 
 def _sketches(told: VoyageReport, stretches: list[FrameStretch]) -> str:
-    return "".join(sea_coverage.frame_sketch(told.voyage, told.judged, each) for each in stretches)
+    return "".join(sea_coverage.frame_sketch(told.voyage, told.classification, each) for each in stretches)

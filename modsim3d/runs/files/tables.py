@@ -239,7 +239,7 @@ def detection_boxes_px(table: pa.Table) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Occluders:
-    """Who hides whom: m entries of the n rows of a truth table."""
+    """Pairs of a hidden vessel and its occluder: m entries of the n rows of a truth table."""
 
     counts: Indices  # number of entries of each row, (n,)
     name: Indices  # index of the occluder's name, (m,)

@@ -107,7 +107,7 @@ def test_hidden_parts_leave_box_errors_out_where_positions_are_not_surely_known(
     scene = replace(strait, annotation=replace(strait.annotation, mode=mode))
     found = learn_voyage(scene, voyage / "run", match="confidence", position_noise=position_m, **BOW)
     pairs = found.report.learned.observed.pairs
-    hidden = found.told.voyage.labelled.annotations.visible_fraction[pairs.rows] < 0.99
+    hidden = found.voyage_report.voyage.labelled.annotations.visible_fraction[pairs.rows] < 0.99
     assert hidden.any() and not hidden.all() and pairs.edges.whole[hidden].any() == (position_m == 0 or mode == 1)
     assert pairs.edges.whole[~hidden].any()
 

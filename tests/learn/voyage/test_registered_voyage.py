@@ -72,12 +72,12 @@ def test_an_empty_stretch_outside_the_log_is_refused_before_registration(folder,
 
 def test_empty_stretches_are_by_the_clock_of_the_log_and_page_and_json_say_what_was_registered(learned):
     """The log ends 3.7 s before the scene, by its own clock; a stretch is what a user reads there."""
-    observed = learned.told.judged.observed
+    observed = learned.voyage_report.classification.observed
     last = 59.8 - REALLY["clock_s"]
     assert classify_unmatched(observed, (TimeSpan(last - 0.9, last + 9),)).empty.sum() == 5
     with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
         classify_unmatched(observed, (TimeSpan(last + 0.5, 59.8),))
-    said = json.loads(orjson.dumps(voyage_json(learned.told)))
+    said = json.loads(orjson.dumps(voyage_json(learned.voyage_report)))
     (registration,) = said["registration"]
     parameters = {each["name"]: each for each in registration["parameters"]}
     assert parameters["yaw_deg"]["low"] < parameters["yaw_deg"]["value"] < parameters["yaw_deg"]["high"]
@@ -87,8 +87,8 @@ def test_empty_stretches_are_by_the_clock_of_the_log_and_page_and_json_say_what_
     (coverage,) = said["coverage"]
     matched, whole = np.array(coverage["matched"]), np.array(coverage["to_be_detected"])
     assert matched.shape == (len(coverage["bearings_deg"]) - 1, len(coverage["ranges_m"]) - 1)
-    assert whole.sum() == learned.told.judged.observed.matched.sought.sum()
-    assert matched.sum() == len(learned.told.judged.observed.matched.pairs[0])
+    assert whole.sum() == learned.voyage_report.classification.observed.matched.sought.sum()
+    assert matched.sum() == len(learned.voyage_report.classification.observed.matched.pairs[0])
     (registered,) = learned.registered
     found = registered.registration
     assert "registered ones, with vessels off their reports as fits them best (root" in registration_lead(registered)
@@ -96,11 +96,11 @@ def test_empty_stretches_are_by_the_clock_of_the_log_and_page_and_json_say_what_
     assert "registered ones (root" in registration_lead(replace(registered, registration=still))
     unseen = replace(registered, registration=replace(found, rms_before_px=np.nan))
     assert "off by more than the lens shows with the scene's" in registration_lead(unseen)
-    judged = learned.told.judged
+    judged = learned.voyage_report.classification
     jumps = np.full_like(judged.tracklets.behaviour, Behaviour.JUMPS)
     for behaviour, said in ((judged.tracklets.behaviour * 0, "false"), (jumps, "false: moves unsteadily")):
         other = replace(judged, tracklets=replace(judged.tracklets, behaviour=behaviour))
-        assert {each.what for each in unmatched_stretches(learned.told.voyage, other)} == {said}
+        assert {each.what for each in unmatched_stretches(learned.voyage_report.voyage, other)} == {said}
 
 
 def test_the_detector_is_learned_back_and_is_visibly_worse_without_registration(folder, learned) -> None:

@@ -97,7 +97,7 @@ class _Tracklet:
     sides: Array  # (4,)
     known: Mask  # which of the sides are, (4,)
     velocity: Array  # along and below the horizon, (2,)
-    told: Array  # how many detections tell where it is along each, (2,)
+    counts: Array  # how many detections tell where it is along each, (2,)
 
     def lost(self, now: float, longest_s: float) -> bool:
         """Whether it is another thing if it is seen again: it may be hidden for as long as it was followed."""
@@ -113,13 +113,13 @@ class _Tracklet:
         apart, expected = now - self.last_s, self.expected(now)
         usable = (sure & self.known).reshape(2, 2)
         self.seen += 1
-        self.told = np.minimum(self.told + usable.any(axis=0), np.clip(_MEMORY_S / apart, _MIN_MEMORY, _MEMORY))
+        self.counts = np.minimum(self.counts + usable.any(axis=0), np.clip(_MEMORY_S / apart, _MIN_MEMORY, _MEMORY))
         off = _offsets(measured[None], sure[None], expected[None], self.known[None])[0, 0] * usable.any(axis=0)
         # Gains of a straight line through the last detections, evenly spaced (Brookner (1998), section 1.2.10).
-        sides = expected + (2 * (2 * self.told - 1) / (self.told * (self.told + 1)) * off)[_AXES]
-        self.velocity = self.velocity + 6 / (self.told * (self.told + 1)) * off / apart
+        sides = expected + (2 * (2 * self.counts - 1) / (self.counts * (self.counts + 1)) * off)[_AXES]
+        self.velocity = self.velocity + 6 / (self.counts * (self.counts + 1)) * off / apart
         both = usable.all(axis=0)  # then the size is seen as well
-        larger = ((measured - sides)[2:] - (measured - sides)[:2]) / 2 * both / self.told
+        larger = ((measured - sides)[2:] - (measured - sides)[:2]) / 2 * both / self.counts
         sides += np.concatenate([-larger, larger])
         sides = np.where(self.known, sides, measured)
         self.sides, self.known, self.last_s = sides, self.known | sure, now
@@ -158,7 +158,7 @@ def _assigned(
     if not tracklets:
         return []
     expected, known = np.stack([each.expected(now) for each in tracklets]), np.stack([each.known for each in tracklets])
-    apart, told = np.array([(now - each.last_s, each.told.min()) for each in tracklets]).T
+    apart, told = np.array([(now - each.last_s, each.counts.min()) for each in tracklets]).T
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
     side = np.sqrt(np.where(known[:, 0] & known[:, 2], width, np.maximum(width, _ASPECT * height)) * height)
     way = np.minimum(apart * _SPEED_SIDES_S, _MAX_WAY_SIDES) / np.sqrt(told)
