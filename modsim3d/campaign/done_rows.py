@@ -166,8 +166,7 @@ def write_table(rows: pa.Table, path: Path) -> None:
 
 
 def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
-    """Write `verdicts.json`, and those that do not repeat into a file of their own; OutputError if they cannot be
-    written."""
+    """Write `verdicts.json`, and those that do not repeat into a file of their own; OutputError where that fails."""
     apart = [asdict(each) for each in verdicts if each not in repeatable(folder.plan, verdicts)]
     content = json_text({"format": FORMAT, "repeatable": False, "verdicts": apart})
     files = {folder.path / VERDICTS: _content_of(folder, verdicts)}

@@ -68,8 +68,7 @@ class LearnedUncertainty(Strict):
 
 
 def read_uncertainty(detector: Path) -> LearnedUncertainty:
-    """Recorded uncertainty of a detector file; InputError if none is beside it, or it rests on too little or is that of
-    another file."""
+    """Recorded uncertainty of a detector file; InputError if there is none, or it is too little or another file's."""
     path, source = uncertainty_file(detector), f"detector {detector}"
     if not path.is_file():
         needed = f"needs {path.name} beside it, which modsim3d learn writes with the detector file: learn it again"

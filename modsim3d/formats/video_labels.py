@@ -128,8 +128,7 @@ def _detections(
 
 
 def given_detector(labels: Sequence[str]) -> dict[str, Any]:
-    """Content of a detector file with these labels, for a scene whose detections are given: it is
-    never asked."""
+    """Content of a detector file with these labels, for a scene with given detections: it is never asked."""
     count = len(labels)
     state = {
         "confusion": [*np.eye(count).tolist(), [0.0] * count],

@@ -29,8 +29,7 @@ class CoprocessError(ModsimError):
 
 
 class Coprocess:
-    """A program with a group of processes of its own, none of which outlives this process or the block it is used
-    in."""
+    """A program with a group of processes of its own, none of which outlives this process or the `with` block."""
 
     def __init__(self, program: str, command: Sequence[str], folder: Path, timeout_s: float) -> None:
         """Start a file as a program with arguments, the first of which is its name, in a folder. It has `timeout_s`

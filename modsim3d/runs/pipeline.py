@@ -87,7 +87,7 @@ def _camera_truth(scene: Scene, index: int, sight: Sight, renderer: IdRenderer |
 def occlusion_by(
     outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
 ) -> Occlusion:
-    """Occluders before a camera, and how much each hides of whom, by the source of truth that the annotation names. Raises
+    """Occluders before a camera, and how much each hides of whom, by the annotation's source of truth. Raises
     ModsimError if the rendered source has no renderer."""
     if annotation.source == "analytic":
         return analytic_occlusion(outlines, intrinsics)

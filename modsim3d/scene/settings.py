@@ -65,8 +65,7 @@ class _Place:
 
 
 class Settings:
-    """Settings of a scene and of the files that it names; `problems` are those of the settings themselves, one line
-    each."""
+    """Settings of a scene and of the files that it names; `problems` has a line for each that is wrong in itself."""
 
     def __init__(self, settings: Iterable[Setting]) -> None:
         """Take the settings; those with fewer keys come first, so that the others go into what they set. Miss rates

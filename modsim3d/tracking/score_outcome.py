@@ -40,8 +40,7 @@ def conclusion_of(scores: ScoredTracks) -> str:
 
 
 def best_reference(scores: ScoredTracks) -> Scores | None:
-    """The reference with the higher HOTA, None without any; where a camera moves, smoothing may cost more than it
-    gains."""
+    """The reference with the higher HOTA, None without any; where a camera moves, smoothing may cost more."""
     return max(scores.references.values(), key=lambda each: keys_of(each)["hota"] or 0, default=None)
 
 

@@ -95,7 +95,7 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiders, occluder: Indices, ties:
 
 
 def hidden_by(hiding: Hiders, areas_px: Array, occluder: Indices) -> HiddenPixels:
-    """Pixels of each row that another hides, from the m areas of `hidden_areas`, shape (m,), without rounding errors."""
+    """Pixels of each row that others hide, from the areas of `hidden_areas`, shape (m,), without rounding errors."""
     real = areas_px > NOTHING_PX2
     return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])
 

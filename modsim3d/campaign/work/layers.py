@@ -99,8 +99,7 @@ def stored_detections(made: Mapping[str, pa.Table]) -> dict[str, pa.Table]:
 
 
 def rows_of(stored: Mapping[str, pa.Table], truth: TruthLayer, scene: Scene) -> RunRows | None:
-    """Rows of a run from its layers, `stored` of which is what was kept of the detections; None if they do not belong
-    together."""
+    """Rows of a run from its layers, `stored` of which is what was kept of the detections; None if they do not fit."""
     detected = stored[DETECTED]
     if len(detected) != len(truth.table):
         return None
@@ -191,8 +190,7 @@ def _write(path: Path, table: pa.Table, key: str) -> None:
 
 
 def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
-    """A table of a layer; ValueError if it is of another layer or has other columns, OSError if it is damaged or
-    unreadable."""
+    """A table of a layer; ValueError if it is of another layer or has other columns, OSError if it cannot be read."""
     with path.open("rb") as file:
         table = pq.read_table(file, page_checksum_verification=True, use_threads=False)
     if (table.schema.metadata or {}).get(_KEY) != key.encode() or not table.schema.equals(schema):

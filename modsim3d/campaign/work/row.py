@@ -386,8 +386,7 @@ def _range_problems(plan: Plan, search: SearchKeys) -> Iterator[str]:
 
 
 def search_versions(keys: CampaignKeys) -> dict[str, str]:
-    """Version of Optuna, if the campaign has a search, whose trials depend on it; ModsimError if it is not
-    installed."""
+    """Version of Optuna, if the campaign has a search, whose trials depend on it; ModsimError if it is missing."""
     if keys.search is None:
         return {}
     try:

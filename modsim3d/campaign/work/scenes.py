@@ -36,8 +36,7 @@ def digest(*parts: Any) -> str:
 
 
 def truth_digest(scene: Scene, backend: str) -> str:
-    """Digest of the truth: the scene without its detector, and the versions of what makes it, the OpenGL `backend`
-    too."""
+    """Digest of the truth: the scene without its detector, and the versions of what makes it, with the `backend`."""
     packages = {name: installed_version(name) for name in VERSIONED}
     plugins = [[plugin.group, plugin.name, plugin.package, plugin.sha256] for plugin in scene.plugins]
     return digest(scene.copy.truth_sha256(), scene.seed if scene.truth_has_seed else None, packages, plugins, backend)
@@ -57,8 +56,7 @@ def detector_digest(detector: DetectorModel) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Version of every package that decides a row; ModsimError if TrackEval, which makes the scores, is not
-    installed."""
+    """Version of every package that decides a row; ModsimError if TrackEval, which makes the scores, is missing."""
     try:
         return {name: installed_version(name) for name in (*VERSIONED, "trackeval")}
     except PackageNotFoundError:

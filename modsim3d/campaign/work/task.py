@@ -114,8 +114,7 @@ class Worker:
         return report
 
     def _row(self, run: PlannedRun, work: Work, begin: Callable[[int], None]) -> dict[str, object]:
-        """Row of a run; one that fails, for whatever reason, has a row too. Raises OutputError if a layer cannot be
-        kept."""
+        """Row of a run; one that fails, for whatever reason, has a row too. OutputError if a layer cannot be kept."""
         begin(run.number)
         try:
             return row_of(run.number, self._layers_of(work).made(run), work.keys.score, work.keys.lookout)

@@ -93,8 +93,7 @@ def time_text(unix_s: float) -> str:
 
 
 def parse_time(text: str, option: str) -> float:
-    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as in AIS. Raises InputError for other
-    texts."""
+    """Unix time of a date and time of ISO 8601; without a zone it is UTC, as in AIS. Raises InputError for others."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:

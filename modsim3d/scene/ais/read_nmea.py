@@ -161,8 +161,7 @@ class _Rows:
 
 
 def read_nmea(path: Path) -> Iterator[Chunk]:
-    """Reports of a log of NMEA sentences. Raises InputError if the file cannot be read, or no sentence in it has a
-    time."""
+    """Reports of a log of NMEA sentences. Raises InputError if it cannot be read, or no sentence in it has a time."""
     rows = _Rows()
     timed, untimed, around = 0, 0, ""
     first_s, last_s, minutes = np.inf, -np.inf, True

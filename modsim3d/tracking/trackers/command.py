@@ -139,8 +139,7 @@ def parsed(model: type[Any], line: bytes) -> Any:
 
 
 def image_frames(answer: ImageAnswer, cameras: Sequence[str], labels: Sequence[str]) -> dict[str, TrackedFrame]:
-    """The tracks in the image of each camera of a line. Raises ModsimError for a label or a camera that there is
-    not."""
+    """The tracks in the image of each camera of a line. Raises ModsimError for an unknown label or camera."""
     parts: dict[str, list[ImageTrack]] = {name: [] for name in cameras}
     for each in answer.tracks:
         if each.label is not None and each.label not in labels:

@@ -127,8 +127,7 @@ class WorldMatching:
         return np.asarray(scored[self.estimates.step, self.vessel], dtype=bool)
 
     def scored_frames(self) -> Iterator[tuple[Indices, Indices, Array]]:
-        """Indices of the scored vessels (a,), numbers of the counted tracks (b,), and their distances (a, b), at each
-        step."""
+        """Indices of the scored vessels (a,), numbers of the counted tracks (b,), and distances (a, b) at each step."""
         counted = self.counted
         for step, (first, stop) in enumerate(_edges(self.truth, self.estimates)):
             rows = self.estimates.row[first:stop][counted[first:stop]]
