@@ -238,7 +238,7 @@ def test_tracks_go_to_the_nearest_vessel_and_changes_pauses_and_stretches_are_co
 
 @pytest.mark.parametrize("seed", range(3))
 def test_shares_and_accuracy_are_those_of_stone_soup(seed: int) -> None:
-    """Tracks stay at a place for 5 frames and do not pause: Stone Soup 1.9.1 fails at such of one frame, and at a pause."""
+    """Tracks stay at a place for 5 frames and do not pause: Stone Soup 1.9.1 fails at one frame, and at a pause."""
     rng = np.random.default_rng(seed)
     blocks = FRAMES // 5
     there = np.repeat(rng.random((blocks, 3)) < 0.8, 5, axis=0)

@@ -94,7 +94,7 @@ def test_touching_boxes_do_not_intersect_and_boxes_a_millimetre_into_each_other_
 
 
 def test_intersecting_boxes_are_named_and_what_both_hide_counts_for_the_nearer(renderer):
-    """Two rafted boats that overlap by a metre, a boat behind both, one beside, and one on a low pier, with a high one."""
+    """Two rafted boats that overlap by a metre, a boat behind both, one beside, one on a low pier, with a high one."""
     boat, places = vessel("boat", 10, 4, 10), ((200, 3), (100, 0), (101, 3), (100, -20), (99, 31))
     piers = [crate((8, 4, 4), (100, 34)), crate((4, 4, 12), (100, 35.5))]
     outlines = outlines_of([(boat, place, 0) for place in places], obstacles=piers)
