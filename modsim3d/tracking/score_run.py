@@ -131,7 +131,7 @@ def _scored(
     progress: Callable[[int], None],
 ) -> RunScores:
     """Scores of tracks in the images by `rules`, and in the world by `gate_m` and `in_metres`; see `score_run`."""
-    chosen = _chosen(run, cameras)
+    chosen = _camera_indices(run, cameras)
     run.finished_tables.check_checksums()
     rows = RunRows.of(run)
     in_images, in_world = _read(run, rows, tracks, chosen)
