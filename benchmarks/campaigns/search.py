@@ -94,7 +94,7 @@ def scorer(keys: CampaignKeys, layers: RunLayers) -> Callable[[int, dict[str, An
     plan, rules = Plan.of(keys), keys.score
 
     def score(seed_index: int, values: dict[str, Any]) -> float | None:
-        value: float | None = row_of(0, layers.made(planned_trial(plan, 0, seed_index, values)), rules)["hota"]
+        value: float | None = row_of(0, layers.layers_of(planned_trial(plan, 0, seed_index, values)), rules)["hota"]
         return value
 
     return score

@@ -89,7 +89,7 @@ def remade(folder: CampaignFolder, number: int) -> LayeredRun:
     """Layers of a run, made again or read where they are kept; ModsimError if there is no such run, or it fails."""
     run, work = planned_run(folder, number), folder.work
     with closing(RunLayers(work.keys.model_copy(update={"keep": []}), Path(work.base), work.layers)) as layers:
-        return layers.made(run)
+        return layers.layers_of(run)
 
 
 _NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "tracks_key")

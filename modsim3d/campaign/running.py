@@ -260,7 +260,7 @@ class _Campaign:
         self._reports: list[TaskReport] = []
         self._looked = 0
         self._verdicts: tuple[Verdict, ...] = ()
-        mine = self._mine()
+        mine = self._own_runs()
         self._rows = DoneRows(folder).read(None if shard is None else set(mine))
         self._total, self._done = len(mine), set(mine).intersection(self._rows.numbers().tolist())
         runs = len(self._plan)
@@ -290,7 +290,7 @@ class _Campaign:
             raise OutputError(f"{self._folder.done}: files were removed while the campaign ran: start it again")
         return table
 
-    def _mine(self) -> list[int]:
+    def _own_runs(self) -> list[int]:
         """The runs of this part: every n-th truth, and a piece of each truth that has more runs than a part."""
         numbers = range(len(self._plan))
         if self._shard is None:

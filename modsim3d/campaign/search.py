@@ -157,18 +157,18 @@ class _Trials:
         """The rows of a batch of trials."""
         tasks = {run.number: Task(self._common, (run,)) for run in runs}
         found = {
-            number: self._known(row, task) for number, task in tasks.items() if (row := search_folder.done_row(task))
+            number: self._record(row, task) for number, task in tasks.items() if (row := search_folder.done_row(task))
         }
         waiting = deque(task for number, task in tasks.items() if number not in found)
         for task, _ in self._dispatch.done(lambda: waiting.popleft() if waiting else None):
             self._made += 1
-            found[task.runs[0].number] = self._known(read_back(task, partial(search_folder.done_row, task)), task)
+            found[task.runs[0].number] = self._record(read_back(task, partial(search_folder.done_row, task)), task)
             self._tell(len(found))
         self.runs += runs
         self.rows += [found[run.number] for run in runs]
         return self.rows[-len(runs) :]
 
-    def _known(self, row: dict[str, Any], task: Task) -> dict[str, Any]:
+    def _record(self, row: dict[str, Any], task: Task) -> dict[str, Any]:
         row = search_folder.trial_row(row, task.runs[0], self._scenes)
         self._crashed += row["status"] == CRASHED
         return row

@@ -118,9 +118,9 @@ class TextTable:
         cells = pc.if_else(good, texts, pa.scalar(None, pa.string()))
         values = np.asarray(pc.cast(cells, pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
         bad = ~(_mask(good) | _mask(pc.is_in(texts, value_set=pa.array(missing, pa.string()))))
-        self.problems.refuse(bad, lambda row: f"{name} must be a number (got {self._shown(name, row)})")
+        self.problems.refuse(bad, lambda row: f"{name} must be a number (got {self._cell(name, row)})")
         too_large = np.abs(values) > _MAX_NUMBER
-        self.problems.refuse(too_large, lambda row: f"{name} must be at most 1e15 (got {self._shown(name, row)})")
+        self.problems.refuse(too_large, lambda row: f"{name} must be at most 1e15 (got {self._cell(name, row)})")
         return np.where(too_large, np.nan, values)
 
     def whole_numbers(self, name: str, least: int) -> Indices:
@@ -128,7 +128,7 @@ class TextTable:
         values = self.numbers(name)
         bad = ~np.isnan(values) & ((values != np.floor(values)) | (values < least))
         self.problems.refuse(
-            bad, lambda row: f"{name} must be a whole number, at least {least} (got {self._shown(name, row)})"
+            bad, lambda row: f"{name} must be a whole number, at least {least} (got {self._cell(name, row)})"
         )
         return np.where(bad | np.isnan(values), NOBODY, values).astype(np.int64)
 
@@ -137,7 +137,7 @@ class TextTable:
         values = self.whole_numbers(name, least)
         lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
         lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
-        self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._shown(name, row)})")
+        self.problems.refuse(lost, lambda row: f"{name} {LOST} (got {self._cell(name, row)})")
         self.problems.refuse(
             np.full(len(self), are_rounded(np.unique(values).tolist())), lambda _: f"{name}: all {ROUNDED}"
         )
@@ -156,12 +156,12 @@ class TextTable:
             unknown &= ~_mask(pc.equal(pc.binary_length(texts), 0))
         self.problems.refuse(
             unknown,
-            lambda row: f"there is no {name} {self._shown(name, row)} ({nearest(texts[row].as_py(), known)})",
+            lambda row: f"there is no {name} {self._cell(name, row)} ({nearest(texts[row].as_py(), known)})",
             np.unique(texts.to_numpy(zero_copy_only=False).astype(str), return_inverse=True)[1],
         )
         return found
 
-    def _shown(self, name: str, row: int) -> str:
+    def _cell(self, name: str, row: int) -> str:
         return shown(self.columns[name][row].as_py())
 
 

@@ -272,7 +272,7 @@ class ConsecutiveScores:
         return Consecutive(expected[a] * expected[b], expected[a] ** 2, self.steps.apart_s, self.scores.image[b])
 
     @property
-    def _known_before(self) -> Steps:
+    def _known_steps(self) -> Steps:
         known = self.latent.known[self.steps.earlier]
         return Steps(self.steps.earlier[known], self.steps.later[known], self.steps.apart_s[known])
 
@@ -300,7 +300,7 @@ class ConsecutiveScores:
 
     def _likeliest(self) -> Array | None:
         """Logarithms of the likeliest correlation time and factor; None where no earlier number is known."""
-        steps = self._known_before
+        steps = self._known_steps
         if not len(steps):
             return None
         low, high = np.log(float(np.median(steps.apart_s)) * np.array([_MIN_TIMES, _MAX_TIMES]))
@@ -322,7 +322,7 @@ class ConsecutiveScores:
 
     def column(self, resampling: Resampling) -> Column:
         """The correlation time; replicates by one Newton step of its logarithm and of the factor."""
-        best, steps = self._likeliest(), self._known_before
+        best, steps = self._likeliest(), self._known_steps
         if best is None:
             return Column(np.zeros(len(resampling.weights)), "positive", np.array(0.0))
         gradient, curvature = self._derivatives(steps, best)

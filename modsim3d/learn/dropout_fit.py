@@ -329,17 +329,17 @@ def label_memory_s(observed: Outcomes) -> float:
     """Correlation time of the labels of detections; 0 if consecutive ones agree no more than by chance. With κ =
     e^(−Δt/τ) kept, else drawn anew, a share κ + (1 − κ)·Σ p² of them agrees."""
     earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s
-    seen_as, labels = observed.seen_as, len(observed.labelled.labels)
-    both = (seen_as[earlier] < labels) & (seen_as[later] < labels)
+    detected_label, labels = observed.detected_label, len(observed.labelled.labels)
+    both = (detected_label[earlier] < labels) & (detected_label[later] < labels)
     cell = observed.state * labels + observed.label
     counts = np.zeros((len(observed.states) * labels, labels))
-    found = seen_as < labels
-    np.add.at(counts, (cell[found], seen_as[found]), 1)
+    found = detected_label < labels
+    np.add.at(counts, (cell[found], detected_label[found]), 1)
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     by_chance = float((shares[cell[later[both]]] ** 2).sum(axis=1).mean()) if both.any() else 1.0
     if by_chance >= 1 - 1e-9:
         return 0.0
-    agree = float((seen_as[earlier[both]] == seen_as[later[both]]).mean())
+    agree = float((detected_label[earlier[both]] == detected_label[later[both]]).mean())
     kept = min((agree - by_chance) / (1 - by_chance), lags.MAX_SHARE)
     errors = np.sqrt(by_chance * (1 - by_chance) / both.sum()) / (1 - by_chance)
     return float(-np.median(apart_s[both]) / np.log(kept)) if kept > SIGNIFICANT * errors else 0.0

@@ -263,10 +263,10 @@ def confusion_counts(labelled: LabelledSet, matched: Matching, resampling: Resam
     results, annotations, size = labelled.results, labelled.annotations, len(labelled.labels) + 1
     sought = np.flatnonzero(matched.sought & images[annotations.image])
     detection = matched.detection[sought]
-    seen_as = np.where(detection >= 0, results.label[detection] if len(results) else 0, size - 1)
+    detected_label = np.where(detection >= 0, results.label[detection] if len(results) else 0, size - 1)
     false = matched.false[images[results.image[matched.false]]]
     image = np.concatenate([annotations.image[sought], results.image[false]])
-    cell = np.concatenate([seen_as * size + annotations.label[sought], results.label[false] * size + size - 1])
+    cell = np.concatenate([detected_label * size + annotations.label[sought], results.label[false] * size + size - 1])
     return resampling.counts(image, cell, (size, size))
 
 

@@ -108,7 +108,7 @@ class LagTable:
         """Least squares over the lags, weighed by how many things have each; ratios have shape (rows, b)."""
         whole, weight = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64), self.weight
         grid = np.geomspace(0.2 * self.lag_s[0], max(self.lag_s[-1] / _LONG, self.lag_s[0]), _GRID)
-        kept = self._kept(grid, whole)
+        kept = self._decay(grid, whole)
         lost = 1 - kept
         level = (found @ (weight * lost).T - (weight * lost * kept).sum(axis=1)) / (weight * lost**2).sum(axis=1)
         level = np.clip(level, 0, _MAX_LEVEL)
@@ -125,7 +125,7 @@ class LagTable:
         # The mean of all sightings takes its part of what things keep.
         return Fits(times, level / (1 - self.crowding * (1 - level)))
 
-    def _kept(self, times_s: Array, whole: Array) -> Array:
+    def _decay(self, times_s: Array, whole: Array) -> Array:
         """Mean of e^(−Δt/τ) over the pairs of each lag, some of which have sightings lacking between; shape (g, b)."""
         log_s = np.log(np.maximum(self.apart_s, 1e-9))
         edges = np.linspace(log_s.min(), log_s.max() + 1e-9, _BINS + 1)

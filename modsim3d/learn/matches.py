@@ -287,7 +287,7 @@ class Outcomes:
         return (self.detection < 0) & ~self.in_merged_box
 
     @cached_property
-    def seen_as(self) -> Indices:
+    def detected_label(self) -> Indices:
         """Label that each annotation was detected as, k where it has no box of its own, shape (n,)."""
         found, k = self.labelled.results.label, len(self.labelled.labels)
         label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)

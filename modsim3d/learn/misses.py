@@ -368,7 +368,7 @@ def _confusion(observed: Outcomes, fit: MissFit | None, resampling: Resampling, 
     """Confusion matrix of each state, at rates that effects leave; counts have an inflation (states, labels)."""
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
-    cell = (observed.state * (k + 1) + observed.seen_as) * k + observed.label
+    cell = (observed.state * (k + 1) + observed.detected_label) * k + observed.label
     unambiguous = observed.unambiguous
     counts = resampling.counts(observed.image[unambiguous], cell[unambiguous], (states, k + 1, k))
     whole = counts.sum(axis=2, keepdims=True)

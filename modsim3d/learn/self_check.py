@@ -250,7 +250,7 @@ def _of_time(observed: Outcomes, found: Mask) -> Counts:
             length[later] = length[earlier] + 1
     ended = steps.earlier[found[steps.later] != found[steps.earlier]]
     runs, gaps = length[ended[found[ended]]], length[ended[~found[ended]]]
-    label, labels = observed.seen_as, len(observed.labelled.labels)
+    label, labels = observed.detected_label, len(observed.labelled.labels)
     both = (label[steps.later] < labels) & (label[steps.earlier] < labels)
     if labels > 1:
         counts["share of labels that change"] = _mean((label[steps.later] != label[steps.earlier])[both])

@@ -187,7 +187,7 @@ class StoredRun(Result):
         """The tables of steps first to stop − 1, which are a block if the run was interrupted."""
         if self.stored is not None:
             return self.stored.rows(first, stop)
-        block = self._simulation.detect(self._kept(first, stop), first, stop)
+        block = self._simulation.detect(self._stored_truth(first, stop), first, stop)
         return {name: table(block, self.scene) for name, (_, table) in TABLES.items()}
 
     def check_has_steps(self) -> None:
@@ -201,7 +201,7 @@ class StoredRun(Result):
     def _block(self, first: int, stop: int, wanted: range) -> Block:
         """The truth and detections of the wanted steps at least, of a block of steps first to stop − 1."""
         if self.stored is None:
-            return self._simulation.detect(self._kept(first, stop), first, stop)
+            return self._simulation.detect(self._stored_truth(first, stop), first, stop)
         first, stop = wanted.start, wanted.stop
         tables = self.stored.rows(first, stop)
         read = partial(detections_of, tables, self.scene.detector)
@@ -211,7 +211,7 @@ class StoredRun(Result):
     def _simulation(self) -> Simulation:
         """The detector of an interrupted run, with the statistics of the steps that were kept."""
         try:
-            blocks = ((self._kept(*steps), *steps) for steps in self._ranges())
+            blocks = ((self._stored_truth(*steps), *steps) for steps in self._ranges())
             return Simulation(self.scene, scene_statistics(self.scene, blocks))
         except ModsimError as error:  # no vessel is annotated in these steps, and the detector needs one
             raise RunDirectoryError(f"{self.folder} holds an interrupted run: {error}; {self.how_to_finish}") from None
@@ -219,7 +219,7 @@ class StoredRun(Result):
     def _ranges(self) -> list[Range]:
         return [steps for steps in block_ranges(self.scene.steps, block_steps(self.scene)) if steps[0] < self.steps]
 
-    def _kept(self, first: int, stop: int) -> Truth:
+    def _stored_truth(self, first: int, stop: int) -> Truth:
         truth = finished_truth(self.folder / UNFINISHED, self.scene, first, stop)
         if truth is None:
             raise RunDirectoryError(f"{self.folder} has lost the truth of steps {first} to {stop - 1}")

@@ -110,7 +110,7 @@ def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(t
     plan, keys = result.folder.plan, result.folder.keys
     (row,) = result.table.to_pylist()
     with closing(RunLayers(keys, tmp_path, tmp_path / "layers")) as layers:
-        made = layers.made(plan.run(0))
+        made = layers.layers_of(plan.run(0))
     scores = scores_of(ScoredRun.of(made.rows, made.tracks, rules_of(keys.score)))
     nothing = {"vessel_frames": 0, "recall": None, "occlusions": 0, "judged": 0, "survived": None, "to_survive": 0}
     for group in scores.breakdown:

@@ -243,7 +243,7 @@ def test_drawn_traffic_meets_own_ship_as_it_was_asked_to() -> None:
 def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidden_rows(tmp_path: Path) -> None:
     keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
     with closing(RunLayers(keys, tmp_path, tmp_path / "cache")) as layers:
-        made = layers.made(Plan.of(keys).run(0))
+        made = layers.layers_of(Plan.of(keys).run(0))
     row = row_of(0, made, keys.score)
     assert sum(row[name] for name in OCCLUSIONS.names) == row["occlusions"] >= 2
     shown, in_view = made.rows.numbers("visible_px") > 0, made.rows.numbers("silhouette_px") > 0

@@ -218,7 +218,7 @@ def test_a_key_that_the_campaign_sets_is_not_drawn_and_nothing_within_it(folder:
     vary = [{"list": [{"detector": "few.yaml", "detector.miss_rate": 0.125}]}]
     found = checked_campaign(folder, **DRAWN, seeds={"traffic": 3}, vary=vary)
     layers = RunLayers(found.file.keys, folder, folder / "cache")
-    states = [layers.made(found.plan.run(number)).rows.scene.detector.states[0] for number in range(3)]
+    states = [layers.layers_of(found.plan.run(number)).rows.scene.detector.states[0] for number in range(3)]
     assert [state.confusion[-1, 0] for state in states] == [0.125] * 3
     assert len({state.false_discovery_rate for state in states}) == 3
     # Settings of keys within others come later: a drawn mean would undo the box error that the campaign varies.
@@ -288,7 +288,7 @@ def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path)
     campaign = checked_campaign(tmp_path, scene="harbour", steps=80, vary=vary, trackers=["reference"])
     with closing(RunLayers(campaign.file.keys, tmp_path, tmp_path / "cache")) as layers:
         for number, rate in enumerate((0.1, 0.4)):
-            truth = layers.made(campaign.plan.run(number)).rows.truth
+            truth = layers.layers_of(campaign.plan.run(number)).rows.truth
             there = flags(truth, "annotated")
             missed = int((there & ~flags(truth, "detected")).sum())
             interval = stats.binomtest(missed, int(there.sum())).proportion_ci(0.999)

@@ -160,9 +160,9 @@ def found() -> Detections:
 def test_labels_false_positives_confidences_and_boxes_are_as_asked_for(found):
     label = build.by_frame(found, found.label, SAMPLE_FRAMES, SAMPLE_VESSELS, 2)  # a miss is the last row
     for vessels, column in enumerate(np.array([[0.7, 0.1, 0.2], [0.1, 0.6, 0.3]])):
-        seen_as = label[:, vessels == LABEL]
-        rates = np.bincount(seen_as.astype(int).ravel(), minlength=3) / seen_as.size
-        assert np.all(np.abs(rates - column) < 4 * np.sqrt(column * (1 - column) / seen_as.size))
+        detected_label = label[:, vessels == LABEL]
+        rates = np.bincount(detected_label.astype(int).ravel(), minlength=3) / detected_label.size
+        assert np.all(np.abs(rates - column) < 4 * np.sqrt(column * (1 - column) / detected_label.size))
     labels = found.label[found.kind == FALSE_POSITIVE]
     n_true = len(found) - len(labels)
     # Given the true detections the count is Poisson with mean n·r / (1 − r); the rest is the delta method.

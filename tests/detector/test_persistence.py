@@ -221,8 +221,8 @@ def keeping(persistence: dict[str, float], **state: Any) -> dict[str, Any]:
 def test_rates_and_covariances_hold_over_vessels_and_a_part_of_every_correlation_stays(tau_s: float) -> None:
     found = remembered(keeping({"class_s": tau_s, "box_s": tau_s, **SHARES}), seen(600))
     label = build.by_frame(found, found.label, MEMORY_FRAMES, 600, -1)
-    for asked, seen_as in ((0.7, 0), (0.1, 1), (0.2, -1)):
-        of_vessel = (label == seen_as).mean(axis=0)
+    for asked, detected_label in ((0.7, 0), (0.1, 1), (0.2, -1)):
+        of_vessel = (label == detected_label).mean(axis=0)
         assert abs(of_vessel.mean() - asked) < 4 * of_vessel.std() / np.sqrt(600)
     missed, p = label < 0, 0.2
     assert missed.mean(axis=0).std() > 0.15  # each has its own

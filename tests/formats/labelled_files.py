@@ -158,10 +158,10 @@ def random_set(seed, image_count=12, labels=3, crowds=True, ties=False):
     moved[:, 2:] = np.maximum(moved[:, 2:], moved[:, :2] + 4)
     extra = int(rng.integers(0, 2 * image_count))
     confidence = rng.random(len(source) + extra)
-    seen_as = np.where(rng.random(len(source)) < 0.8, label[source], rng.integers(0, labels, len(source)))
+    detected_label = np.where(rng.random(len(source)) < 0.8, label[source], rng.integers(0, labels, len(source)))
     whole = found(
         np.concatenate([image[source], rng.integers(0, image_count, extra)]),
-        np.concatenate([seen_as, rng.integers(0, labels, extra)]),
+        np.concatenate([detected_label, rng.integers(0, labels, extra)]),
         np.concatenate([moved, random_boxes(rng, extra, 250)]),
         np.round(confidence, 1) if ties else confidence,
     )

@@ -48,8 +48,8 @@ def lab(colour, seen):
 
 
 def least_distance(colours, seen):
-    seen_as = [lab(colour, SEEN_BY[seen]) for colour in colours]
-    return min(float(np.linalg.norm(a - b)) for a, b in combinations(seen_as, 2))
+    detected_label = [lab(colour, SEEN_BY[seen]) for colour in colours]
+    return min(float(np.linalg.norm(a - b)) for a, b in combinations(detected_label, 2))
 
 
 @pytest.mark.parametrize("seen", SEEN_BY)

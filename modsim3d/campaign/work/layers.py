@@ -229,7 +229,7 @@ class RunLayers:
         """End the OpenGL context."""
         self._opened.close()
 
-    def made(self, run: PlannedRun) -> LayeredRun:
+    def layers_of(self, run: PlannedRun) -> LayeredRun:
         """All layers of a run. Raises ModsimError if the scene, the detector or the tracker cannot be what the run asks
         for, and OutputError if a layer that is kept cannot be written."""
         scene = self._scenes.of(run.condition, run.traffic_seed, run.detector_seed)

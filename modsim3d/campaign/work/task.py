@@ -117,7 +117,7 @@ class Worker:
         """Row of a run; one that fails, for whatever reason, has a row too. OutputError if a layer cannot be kept."""
         begin(run.number)
         try:
-            return row_of(run.number, self._layers_of(work).made(run), work.keys.score, work.keys.lookout)
+            return row_of(run.number, self._layers_of(work).layers_of(run), work.keys.score, work.keys.lookout)
         except OutputError:  # the disk is full: that says nothing about the run
             raise
         except Exception as error:

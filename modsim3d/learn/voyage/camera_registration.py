@@ -64,7 +64,7 @@ class KnownMeans:
         """Mean errors of boxes, in x, y, width and height."""
         return self.mean_x_px, self.mean_y_px, self.mean_width_share, self.mean_height_share
 
-    def given(self) -> dict[str, float]:
+    def by_name(self) -> dict[str, float]:
         """Means that are known, by the names of the attributes."""
         return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) is not None}
 

@@ -339,7 +339,7 @@ def _content(scene: Scene, registered: Sequence[CameraFit]) -> dict[str, Any]:
         cameras[each.registration.camera] = {
             "log": each.source,
             "clock_s": each.clock_s + each.registration.values["clock_s"],
-            "known": each.known.given(),
+            "known": each.known.by_name(),
             "added": {
                 found.name: {"value": found.value, "low": found.low, "high": found.high, "held": found.held or None}
                 for found in each.registration.estimates

@@ -99,7 +99,7 @@ class _Tracklet:
     velocity: Array  # along and below the horizon, (2,)
     counts: Array  # how many detections tell where it is along each, (2,)
 
-    def lost(self, now: float, longest_s: float) -> bool:
+    def is_lost(self, now: float, longest_s: float) -> bool:
         """Whether it is another thing if it is seen again: it may be hidden for as long as it was followed."""
         hidden_s = min(self.last_s - self.first_s, MAX_HIDDEN_S) if self.seen >= _MIN_SEEN else 0.0
         return now - self.last_s > max(longest_s, hidden_s) + 1e-9
@@ -131,7 +131,7 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Ji
     numbers, tracklets, count = np.full(len(time_s), -1), list[_Tracklet](), 0
     for ours in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s)) + 1) if len(time_s) else []:
         now = float(time_s[ours[0]])
-        tracklets = [tracklet for tracklet in tracklets if not tracklet.lost(now, longest_s)]
+        tracklets = [tracklet for tracklet in tracklets if not tracklet.is_lost(now, longest_s)]
         free = np.arange(len(ours))
         for seen in (sure[ours], sure[ours] & ~_beside_others(sides[ours])):
             waiting = [tracklet for tracklet in tracklets if tracklet.last_s < now]

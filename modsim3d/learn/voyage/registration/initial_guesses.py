@@ -98,10 +98,10 @@ def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Direction
     """Directions of all vessels that are there and, turned by the most, in the field of view, in order of frame."""
     traffic, count = model.traffic, len(model.hulls_m)
     frame, vessel = np.divmod(np.arange(len(times_s) * count), count)
-    there = traffic.there(times_s[frame], vessel)
+    there = traffic.presence(times_s[frame], vessel)
     if traffic.carrier is not None:
         there &= vessel != traffic.carrier
-        there &= traffic.there(times_s[frame], np.full(len(frame), traffic.carrier))
+        there &= traffic.presence(times_s[frame], np.full(len(frame), traffic.carrier))
     frame, vessel = frame[there], vessel[there]
     if not len(frame):
         return _Directions(frame, *np.empty((3, 0)))

@@ -62,7 +62,7 @@ class KnownTraffic:
         """Times of the scene's first and last step."""
         return float(self.times_s[1]), float(self.times_s[-2])
 
-    def there(self, times_s: Array, vessel: Indices) -> Mask:
+    def presence(self, times_s: Array, vessel: Indices) -> Mask:
         """Whether vessels are there at times: at the steps before and after, shape (n,)."""
         before, share = self._between(times_s)
         return self.present[before, vessel] & self.present[np.where(share > 0, before + 1, before), vessel]
@@ -189,11 +189,11 @@ class BoxModel:
         """Uncut boxes, (n, 4), and each edge's vertex in VCF, (n, 4, 3); nan for absent vessels or ones behind."""
         hulls = self.hulls_m[vessel]
         pixels = self.pixels(values, times_s, vessel, hulls)
-        shown = self.traffic.there(times_s + values["clock_s"] + values.vessels[vessel, 2], vessel)
+        shown = self.traffic.presence(times_s + values["clock_s"] + values.vessels[vessel, 2], vessel)
         shown &= np.isfinite(pixels).all(axis=(1, 2))
         if self.traffic.carrier is not None:
             carrier = np.full(len(vessel), self.traffic.carrier)
-            shown &= (vessel != carrier) & self.traffic.there(times_s + values["clock_s"], carrier)
+            shown &= (vessel != carrier) & self.traffic.presence(times_s + values["clock_s"], carrier)
         safe = np.where(shown[:, None, None], pixels, 0.0)
         ends = np.concatenate([safe.argmin(axis=1), safe.argmax(axis=1)], axis=1)
         corners = np.take_along_axis(hulls, ends[..., None], axis=1)

@@ -286,9 +286,9 @@ def test_a_vessel_goes_on_beyond_the_ends_of_its_track_but_is_not_there(strait: 
     times = np.array([steps_s[FIRST] - 2.0, steps_s[FIRST], steps_s[LAST], steps_s[LAST] + 2.0])
     ferry = np.full(4, FERRY)
     np.testing.assert_allclose(cut.at(times, ferry)[0], whole.at(times, ferry)[0], atol=0.05)
-    assert cut.there(times, ferry).tolist() == [False, True, True, False]
+    assert cut.presence(times, ferry).tolist() == [False, True, True, False]
     ends = np.array([-1.0, 0.0, steps_s[-1], steps_s[-1] + 1.0])
-    assert whole.there(ends, ferry).tolist() == [False, True, True, False]
+    assert whole.presence(ends, ferry).tolist() == [False, True, True, False]
     moved = np.diff(whole.at(ends, ferry)[0], axis=0)
     assert np.linalg.norm(moved[[0, 2]], axis=1) == pytest.approx([4.5, 4.5], abs=0.3)
 
