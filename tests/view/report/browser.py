@@ -137,6 +137,10 @@ class Browser:
         chosen = f"select.value = {json.dumps(value)}; select.dispatchEvent(new Event('change'));"
         self.run(f"(select => {{ {chosen} }})(document.querySelector('#{select}'))")
 
+    def until(self, condition: str) -> None:
+        look = f"const look = () => ({condition}) ? done(1) : setTimeout(look, 10); look();"
+        self.run(f"new Promise(done => {{ {look} }})")
+
     def settle(self) -> None:
         """Let the browser draw, and scroll, what it was asked for."""
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections import defaultdict
 from itertools import pairwise
 
@@ -208,30 +209,31 @@ def test_moments_are_of_their_kind(browser, mistaken_page, mistaken_folder):
         assert index == moments[-1]["index"] and (kind == "state" or followed == moments[-1]["vessel"])
 
 
-COUNTED = """new Promise(done => {
+COUNTED = """(() => {
     const counts = ({ columns: of }) => Object.fromEntries(Object.keys(of).map(name => [name, [...of[name]]]));
     const places = [...document.querySelectorAll('.result div, section:nth-of-type(-n+4) td, #differing')];
-    const texts = () => places.map(each => each.textContent.replace(/[\\u2007\\u2008]/g, ''));
-    const found = () => [player.stage.recordings.map(counts), texts(), player.differences?.found ?? []];
-    const look = () => player.threshold.least && !player.threshold.tallies ? setTimeout(look, 20) : done(found());
-    look(); })"""
+    const texts = places.map(each => each.textContent.replace(/[\\u2007\\u2008]/g, ''));
+    return [player.stage.recordings.map(counts), texts, player.differences?.found ?? []]; })()"""
 
 
 @pytest.mark.parametrize("seeds", [[None], [None, 77]])
-def test_a_least_confidence_makes_the_page_of_runs_with_this_operating_threshold(
-    browser, mistaken_folder, other_folder, tmp_path, seeds
-):
-    write, runs = write_report if len(seeds) == 1 else write_side_by_side, [mistaken_folder, other_folder][: len(seeds)]
-    kept = [tmp_path / str(seed) for seed in seeds]
-    for folder, seed in zip(kept, seeds, strict=True):
-        detect_run(mistaken_folder, folder, seed=seed, settings={"detector.operating_threshold": 0.5})
-    found = []
-    for folders, address in ((runs, "&confidence=0.5"), (kept, "")):
-        browser.open(write(*map(open_run, folders), out=tmp_path / "page.html"), hash=f"#step=90{address}")
-        found.append(browser.run(COUNTED))
-    (counts, texts, differences), expected = found
-    assert [{name: each[name] for name in of} for each, of in zip(counts, expected[0], strict=True)] == expected[0]
-    assert (texts, differences) == tuple(expected[1:])
+def test_a_least_confidence_gives_the_page_of_runs_with_it(browser, mistaken_folder, other_folder, tmp_path, seeds):
+    write, least = (write_report, write_side_by_side)[len(seeds) - 1], {"detector.operating_threshold": 0.5}
+    kept = [detect_run(mistaken_folder, tmp_path / f"{seed}", seed=seed, settings=least).folder for seed in seeds]
+    browser.open(write(*map(open_run, kept), out=tmp_path / "kept.html"))
+    (expected, *others), runs = browser.run(COUNTED), [open_run(mistaken_folder), open_run(other_folder)][: len(seeds)]
+    browser.open(write(*runs, out=tmp_path / "all.html"), hash="#step=90&confidence=0.5")
+    browser.until("player.threshold.tallies")
+    counts, *texts_and_differences = browser.run(COUNTED)
+    counts_there = [{name: each[name] for name in of} for each, of in zip(counts, expected, strict=True)]
+    assert [counts_there, *texts_and_differences] == [expected, *others]
+    table = runs[0].tables()["detections"].to_pylist()
+    rows = [row for row in table if row["camera"] == "bow" and row["confidence"] >= 0.5]
+    false = sum(row["kind"] not in ("true", "merged", "split") for row in rows)
+    detected, missed, said = map(int, re.findall(r"\d+", browser.text("#leastCounts")))
+    sums = [sum(counts[0][f"0.{kind}"]) for kind in ("annotated", "missed", "false")]
+    assert sums == [detected + missed, missed, false] and said == false
+    assert browser.run("player.stage.frames[0].detections.length") == sum(row["step"] == 90 for row in rows)
 
 
 def test_the_timeline_zooms_around_the_step_and_goes_along_with_it(browser, tracks_page):
@@ -248,12 +250,6 @@ def test_the_timeline_zooms_around_the_step_and_goes_along_with_it(browser, trac
     assert browser.run("player.index") == pytest.approx(first + STEPS // 4, abs=1)
     browser.click("[data-do=timeWhole]")
     assert browser.run("[player.timeline.from, player.timeline.to]") == [0, STEPS]
-
-
-GALLERY = """new Promise(done => {
-    const said = () => document.querySelector('#mistakesCount').textContent.includes(' of ');
-    const look = () => said() ? done(1) : setTimeout(look, 20);
-    look(); })"""
 
 
 def test_mistakes_are_in_picture_list_and_gallery_and_a_line_joins_a_box_to_its_vessel(browser, mistaken_page):
@@ -293,7 +289,7 @@ def test_mistakes_are_in_picture_list_and_gallery_and_a_line_joins_a_box_to_its_
     assert (np.abs(around.astype(int) - palette.ALARM).sum(axis=1) < 90).any()
     browser.open(mistaken_page, hash="#step=0")
     browser.click("#mistakes summary")
-    browser.run(GALLERY)
+    browser.until("document.querySelector('#mistakesCount').textContent.includes(' of ')")
     kinds = ("missed", "false", "mislabelled", "bad", "off")
     counts = {kind: browser.run(f"player.recording.momentCount(0, '{kind}')") for kind in kinds}
     assert browser.text("#mistakesCount").startswith(f"{sum(counts.values())} of {sum(counts.values())} in ")
@@ -341,8 +337,7 @@ DIGITS = {**dict.fromkeys(TENTHS, 1), "visible_fraction": 4, "in_frame_fraction"
 def open_numbers(browser):
     """Press the key and wait until the tables are filled: a browser tells later that a part was browser."""
     browser.press("d")
-    filled = "player.numbers.detections ? done(1) : setTimeout(look, 5)"
-    browser.run(f"new Promise(done => {{ const look = () => {filled}; look(); }})")
+    browser.until("player.numbers.detections")
 
 
 def test_the_tables_have_every_column_are_copied_and_follow_steps_not_play(browser, mistaken_page, mistaken_folder):

@@ -104,14 +104,6 @@ def test_each_kind_has_a_key_and_the_chosen_moment_plays_again_and_again(browser
 SETTLED = "new Promise(done => setTimeout(() => done(decodeURIComponent(location.hash)), 300))"
 
 
-def wait_for(path, patience_s=120.0):
-    deadline = time.monotonic() + patience_s
-    while not path.is_file():
-        assert time.monotonic() < deadline, sorted(path.parent.iterdir())
-        time.sleep(0.02)
-    return path
-
-
 def test_the_address_follows_what_is_shown_and_names_that_are_not_there_are_passed_over(browser, page):
     for hash in ("camera=nowhere&vessel=nobody&layers=ghosts&x=%", "&=&layers=constructor,toString"):
         browser.open(page, hash=f"#vessel=&step=50&{hash}")
@@ -155,7 +147,10 @@ def test_the_link_is_copied_or_offered_in_a_field_and_the_picture_is_saved_with_
     link = browser.run("location.href")
     assert browser.run(field) == [link, len(link)]
     browser.click("[data-do=save]")
-    with Image.open(wait_for(tmp_path / "simulation_3_C1_41.png")) as image:
+    path, deadline = tmp_path / "simulation_3_C1_41.png", time.monotonic() + 120
+    while not path.is_file() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    with Image.open(path) as image:
         saved = image.convert("L")
     wide, high = browser.run("[player.pane.canvas.width, player.pane.canvas.height]")
     assert saved.size == (wide, high + 30)
@@ -226,8 +221,7 @@ def test_the_wheel_scrolls_or_zooms_and_neither_zooming_nor_dragging_loses_the_i
     browser.place("#picture")
     before, top = browser.run(f"[{VIEW}, scrollY]")
     browser.wheel("#picture", 100)
-    look = f"const look = () => scrollY > {top} ? done(1) : requestAnimationFrame(look); look();"
-    browser.run(f"new Promise(done => {{ {look} }})")
+    browser.until(f"scrollY > {top}")
     assert browser.run(VIEW) == before
     assert "wheel zooms" in browser.text(".how:not([hidden])")
     browser.wheel("#picture", -400, control=True)
@@ -346,8 +340,7 @@ def test_a_tap_chooses_a_press_shows_a_false_alarm_the_smallest_box_is_meant_and
     assert opened.after("ArrowRight", "player.alarm") is None
     _, vessel, _, x, y = separate(opened, wrong=False)
     opened.fingers([opened.place(*over(opened, x, y))])
-    look = "const look = () => player.followed === null ? setTimeout(look, 20) : done(); look();"
-    opened.run(f"new Promise(done => {{ {look} }})")
+    opened.until("player.followed !== null")
     followed, name = opened.run(f"[player.followed, player.recording.facts.vessels[{vessel}].name]")
     assert followed == vessel and f" s: {name} (" in opened.text("#note")
     assert opened.run("document.querySelector('.tip').hidden")
