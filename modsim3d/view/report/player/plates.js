@@ -19,7 +19,7 @@ function drawNames(picture, truths, vessels) {
 
 const FARTHEST = 3; // rows of plates between a box and its own
 
-// Texts on plates of their colours by their boxes, lines to them first; where other plates are in the way beside the box or farther
+// Texts on plates of their colours by their boxes, lines to them first; where other plates are in the way at its other end, farther
 // off, or nowhere.
 function drawPlates(picture) {
   const { context } = picture, width = picture.canvas.width / picture.ratio, height = picture.canvas.height / picture.ratio, placed = [];
@@ -30,10 +30,9 @@ function drawPlates(picture) {
     const wide = context.measureText(text).width + 8, within = (x) => Math.min(Math.max(x, 0), Math.max(width - wide, 0));
     const over = top - PLATE_PX - 1, under = bottom + 2, ends = [within(left - 1), within(right - wide + 1)];
     const rows = (row) => [over - row * PLATE_PX, under + row * PLATE_PX].flatMap((y) => ends.map((x) => ({ x, y, edge: y < top ? top : bottom })));
-    const sides = [right + 3, left - wide - 3].map((x) => ({ x, y: top, edge: top + PLATE_PX })); // without a line
-    const places = [...(below ? rows(0).slice(2) : []), ...rows(0), ...sides];
-    for (let row = 1; row <= FARTHEST; row++) places.push(...rows(row));
-    const clear = ({ x, y }) => x >= 0 && x + wide <= Math.max(width, wide) && y >= 0 && y <= height - PLATE_PX
+    const places = below ? rows(0).slice(2) : [];
+    for (let row = 0; row <= FARTHEST; row++) places.push(...rows(row));
+    const clear = ({ x, y }) => y >= 0 && y <= height - PLATE_PX
       && placed.every((other) => x >= other.x + other.wide || other.x >= x + wide || Math.abs(y - other.y) >= PLATE_PX);
     const place = places.find(clear);
     if (place) placed.push({ ...place, wide, text, colour, left, of: { vessel, alarm, lane } });
