@@ -274,17 +274,13 @@ MAX_CROSSINGS = 200_000  # edges times scan lines that are computed at once; it 
 def edges_of(solid: Solid) -> Indices:
     """Start, end, left and right face of each edge of a closed solid, shape (4, E). The face on the left runs from
     start to end, that on the right from end to start. Where more than two faces meet, an edge comes more than once."""
-    ways: dict[tuple[int, int], list[int]] = {}
-    for face, (a, b, c) in enumerate(solid.faces.tolist()):
-        for way in ((a, b), (b, c), (c, a)):
-            ways.setdefault(way, []).append(face)
-    edges = [
-        (a, b, left, right)
-        for (a, b), faces in ways.items()
-        if a < b
-        for left, right in zip(faces, ways[b, a], strict=True)
-    ]
-    return np.array(edges, dtype=np.int64).reshape(-1, 4).T
+    start, end = (solid.faces[:, corners].reshape(-1) for corners in ([0, 1, 2], [1, 2, 0]))
+    number, face = solid.faces.max(initial=0) + 1, np.arange(len(start)) // 3
+    forth, back = np.flatnonzero(start < end), np.flatnonzero(start > end)
+    _, first, edge = np.unique((start * number + end)[forth], return_index=True, return_inverse=True)
+    opposite = np.unique((end * number + start)[back], return_inverse=True)[1]
+    forth, back = forth[np.argsort(first[edge], kind="stable")], back[np.argsort(first[opposite], kind="stable")]
+    return np.stack([start[forth], end[forth], face[forth], face[back]])
 
 
 def faces_towards(vertices_px: Array, solid: Solid) -> Mask:
