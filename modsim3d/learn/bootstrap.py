@@ -44,7 +44,8 @@ class Resampling:
 
         size = int(np.prod(shape))
         amount = np.ones(len(image)) if amount is None else amount
-        used, row = np.unique(image, return_inverse=True)  # most frames of a long night are empty
+        there = np.bincount(image) > 0  # most frames of a long night are empty
+        used, row = np.flatnonzero(there), (np.cumsum(there) - 1)[image]
         by_image = csr_array((amount, (row, cell)), shape=(len(used), size))
         total: Array = np.asarray((by_image.T @ self.weights[:, used].T).T)
         return total.reshape(len(self.weights), *shape)

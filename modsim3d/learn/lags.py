@@ -46,9 +46,10 @@ class LagTable:
         image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
         time_s, sequence = labelled.images.time_s[image], labelled.images.sequence[image]
         known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
-        _, series = np.unique(np.column_stack([sequence, identity])[known], axis=0, return_inverse=True)
-        order = np.lexsort((time_s[known], series.ravel()))
-        place, series = known[order], series.ravel()[order]
+        number = sequence[known] * (identity.max(initial=0) + 1) + identity[known]
+        series = np.unique(number, return_inverse=True)[1]
+        order = np.lexsort((time_s[known], series))
+        place, series = known[order], series[order]
         count = np.bincount(series)
         columns: list[tuple[Any, ...]] = []
         lag_s: list[float] = []

@@ -101,7 +101,8 @@ def _products(
     counts = np.zeros(len(steps.later), dtype=np.int64)
     for pattern in np.unique(steps.edges):
         rows, edges = np.flatnonzero(steps.edges == pattern), np.flatnonzero(pattern & _EDGES)
-        first, second = (_whitened(pairs, models, shapes, each[rows], edges) for each in (steps.earlier, steps.later))
+        boxes, place = np.unique([steps.earlier[rows], steps.later[rows]], return_inverse=True)
+        first, second = _whitened(pairs, models, shapes, boxes, edges)[place.reshape(2, -1)]
         products[rows], expected[rows] = (first * second).mean(axis=1), (first**2).mean(axis=1)
         counts[rows] = len(edges)
     return persistence.Consecutive(products, expected, steps.apart_s, pairs.image[steps.later]), counts
