@@ -130,7 +130,7 @@ class Campaign(Result):
     def _document(self) -> Document:
         """The mean scores of each tracker in each condition, the verdicts, and the outcome."""
         title = f"Campaign {self.folder}: {self.conclusion}; means [95 % interval over traffic seeds]"
-        verdicts = Items([f"{each.tracker}: {each.text}: {each.outcome}" for each in self.verdicts])
+        verdicts = Items([f"{verdict.tracker}: {verdict.text}: {verdict.outcome}" for verdict in self.verdicts])
         rows = with_required(self._opened.plan, self.means(), self.verdicts)
         means = mean_table(rows, title, where=Where.EVERYWHERE)
         return Document(title, [Text(self.conclusion, "lead")], [means, verdicts])
@@ -143,7 +143,7 @@ class Campaign(Result):
         if crashed := crashed_runs(self.table):
             parts.append(f"{crashed:,} crashed")
         outcomes = [verdict.outcome for verdict in self.verdicts]
-        counts = ((outcomes.count(each), each) for each in ("met", "failed", "undecided"))
+        counts = ((outcomes.count(outcome), outcome) for outcome in ("met", "failed", "undecided"))
         return ", ".join(parts + [f"{count} {outcome}" for count, outcome in counts if count])
 
     def means(self, by: Sequence[str] | None = None, scores: Sequence[str] | None = None) -> list[MeanRow]:
@@ -197,12 +197,12 @@ def run_campaign(
         TypeError: The file or the folder is neither text nor a path.
     """
     folder = as_path(out, "out", "the folder of the campaign")
-    found = checked(read_campaign(campaign))
-    if found.file.keys.search is not None:
-        raise ModsimError(f"{found.file.path} is a search: run it with modsim3d.search_campaign")
+    setup = checked(read_campaign(campaign))
+    if setup.file.keys.search is not None:
+        raise ModsimError(f"{setup.file.path} is a search: run it with modsim3d.search_campaign")
     layers = None if cache is None else as_path(cache, "cache", "a folder")
     engine = engine_of(workers, scheduler, slurm)
-    result = run_plan(found, folder, engine, shard=shard, cache=layers, progress=progress)
+    result = run_plan(setup, folder, engine, shard=shard, cache=layers, progress=progress)
     return open_campaign(folder) if result is None else Campaign(folder, result.table, result.verdicts, True)
 
 
@@ -231,11 +231,11 @@ def search_campaign(
         ModsimError: This is no number of workers, or the workers are lost.
         TypeError: The file or the folder is neither text nor a path.
     """
-    folder, found = as_path(out, "out", "the folder of the campaign"), checked(read_campaign(campaign))
-    if found.file.keys.search is None:
-        raise InputError(str(found.file.path), ["search: is missing: modsim3d.run_campaign runs campaigns without one"])
+    folder, setup = as_path(out, "out", "the folder of the campaign"), checked(read_campaign(campaign))
+    if setup.file.keys.search is None:
+        raise InputError(str(setup.file.path), ["search: is missing: modsim3d.run_campaign runs campaigns without one"])
     layers = None if cache is None else as_path(cache, "cache", "a folder")
-    return run_search(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
+    return run_search(setup, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
 
 
 @dataclass(frozen=True, repr=False)
@@ -248,7 +248,7 @@ class CampaignPlan(Result):
     needed: tuple[NeededSeeds, ...]
 
     def _document(self) -> Document:
-        rows = [(each.text, each.tracker or "all", str(each.seeds or UNKNOWN), each.why) for each in self.needed]
+        rows = [(need.text, need.tracker or "all", str(need.seeds or UNKNOWN), need.why) for need in self.needed]
         table = Table("traffic seeds needed", ("requirement", "tracker", "seeds", "why"), rows, where=Where.EVERYWHERE)
         return Document("", [Text(f"{self.runs:,} runs of {self.frames:,} frames together")], [table])
 
@@ -272,8 +272,8 @@ def plan_campaign(
         ModsimError: The file is wrong or a search, or what is expected is of no required mean.
         TypeError: The file or the folder is neither text nor a path.
     """
-    found = campaign if isinstance(campaign, CheckedCampaign) else checked(read_campaign(campaign))
-    keys, plan = found.file.keys, found.plan
+    setup = campaign if isinstance(campaign, CheckedCampaign) else checked(read_campaign(campaign))
+    keys, plan = setup.file.keys, setup.plan
     if keys.search is not None:
         reason = "a search has no requirements, and its budget says how many trials there will be"
         raise ModsimError(f"campaign plan: {reason}")
@@ -287,9 +287,9 @@ def plan_campaign(
     if earlier is not None and earlier.keys.search is not None:
         raise ModsimError(f"--like {like}: holds a search, whose trials were chosen to be bad, and has no mean")
     needed = needed_seeds(plan, expected, earlier)
-    scenes = Scenes(keys.steps, found.file.base, learned=keys.uncertainty == "learned")
+    scenes = Scenes(keys.steps, setup.file.base, learned=keys.uncertainty == "learned")
     first = (plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions)))
-    made = (scenes.of(each.condition, each.traffic_seed, each.detector_seed) for each in first)
+    made = (scenes.of(run.condition, run.traffic_seed, run.detector_seed) for run in first)
     frames = sum(scene.steps * len(scene.cameras) for scene in made) * len(plan) // len(plan.conditions)
     return CampaignPlan(len(plan), frames, tuple(needed))
 
@@ -304,8 +304,8 @@ def open_campaign(folder: StrPath) -> Campaign:
         TypeError: It is neither text nor a path.
     """
     opened = opened_campaign(folder)
-    found = present_state(opened)
-    return Campaign(opened.path, found.table, found.verdicts, found.finished)
+    state = present_state(opened)
+    return Campaign(opened.path, state.table, state.verdicts, state.finished)
 
 
 def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | None = None) -> Callable[[], Engine]:

@@ -65,8 +65,8 @@ class DoneRows:
     def numbers(self) -> Indices:
         """The runs whose rows are there, ascending, shape (n,)."""
         self._join()
-        found = [part["run"].to_numpy() for part in self._parts]
-        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found]))
+        columns = [part["run"].to_numpy() for part in self._parts]
+        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *columns]))
 
     def crashed(self) -> int:
         """Number of rows of runs that crashed."""
@@ -167,17 +167,17 @@ def write_table(rows: pa.Table, path: Path) -> None:
 
 def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
     """Write `verdicts.json`, and those that do not repeat into a file of their own; OutputError where that fails."""
-    apart = [asdict(each) for each in verdicts if each not in repeatable(folder.plan, verdicts)]
+    apart = [asdict(verdict) for verdict in verdicts if verdict not in repeatable(folder.plan, verdicts)]
     content = json_text({"format": FORMAT, "repeatable": False, "verdicts": apart})
     files = {folder.path / VERDICTS: _content_of(folder, verdicts)}
     write_files(files | ({folder.path / TOOK_VERDICTS: content} if apart else {}))
 
 
 def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
-    fixed = [not each["traffic_has_seed"] for each in folder.facts["conditions"]]
+    fixed = [not condition["traffic_has_seed"] for condition in folder.facts["conditions"]]
     kept = repeatable(folder.plan, verdicts)
-    found = [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in kept]
-    return json_text({"format": FORMAT, "sha256": folder.facts["sha256"], "verdicts": found})
+    records = [{**asdict(verdict), "this_traffic_only": fixed[verdict.condition]} for verdict in kept]
+    return json_text({"format": FORMAT, "sha256": folder.facts["sha256"], "verdicts": records})
 
 
 def results_table(folder: CampaignFolder) -> pa.Table:
@@ -228,33 +228,33 @@ def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expectation]:
     ModsimError for any other text."""
     if not (match := re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text)):
         raise ModsimError(f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')")
-    name, found = match[1], Expectation(float(match[2]), float(match[3]))
-    if not found.spread > 0:
-        raise ModsimError(f"--expect {name}: needs a spread above 0 (got {found.spread:g})")
-    known = list(dict.fromkeys(each.what for each in plan.keys.require if each.share is None))
-    if name not in known:
-        raise ModsimError(f"--expect: no requirement is on the mean of '{name}' ({nearest(name, known)})")
-    return name, found
+    name, expectation = match[1], Expectation(float(match[2]), float(match[3]))
+    if not expectation.spread > 0:
+        raise ModsimError(f"--expect {name}: needs a spread above 0 (got {expectation.spread:g})")
+    names = list(dict.fromkeys(requirement.what for requirement in plan.keys.require if requirement.share is None))
+    if name not in names:
+        raise ModsimError(f"--expect: no requirement is on the mean of '{name}' ({nearest(name, names)})")
+    return name, expectation
 
 
 def needed_seeds(plan: Plan, expected: Mapping[str, Expectation], like: CampaignFolder | None) -> list[NeededSeeds]:
     """Seeds that each requirement needs, by tracker and condition where these differ. `expected` maps the name of a
     score, or of a difference of it, to what is expected; else the scores of an earlier campaign `like` are expected."""
     rows = None if like is None else SeedRows(like.plan, results_table(like))
-    found, verdicts = [], len(wording.cases_of_all(plan))
+    needs, verdicts = [], len(wording.cases_of_all(plan))
     for place in dict.fromkeys(place for place, _ in wording.cases_of_all(plan)):
-        requirement, each = wording.at_step(plan, place, verdicts, 0), []
+        requirement, by_case = wording.at_step(plan, place, verdicts, 0), []
         for case in cases_of(plan, requirement):
-            known = expected.get(requirement.what)
-            if known is None and like is not None and rows is not None:
-                known = _earlier_scores(plan, case, requirement, like.plan, rows)
+            prior = expected.get(requirement.what)
+            if prior is None and like is not None and rows is not None:
+                prior = _earlier_scores(plan, case, requirement, like.plan, rows)
             label = " − ".join(labels_of(plan, case))
             empty = NeededSeeds(place, wording.requirement_text(requirement, case.within), label, case.condition)
-            each.append(_with_seeds(empty, plan, requirement, case, known if requirement.share is None else None))
-        if len(each) > 1 and len({(one.seeds, one.why) for one in each}) == 1:
-            each = [replace(each[0], tracker=None, condition=None)]
-        found += each
-    return found
+            by_case.append(_with_seeds(empty, plan, requirement, case, prior if requirement.share is None else None))
+        if len(by_case) > 1 and len({(one.seeds, one.why) for one in by_case}) == 1:
+            by_case = [replace(by_case[0], tracker=None, condition=None)]
+        needs += by_case
+    return needs
 
 
 def _with_seeds(
@@ -275,27 +275,27 @@ def _with_seeds(
     if expected is None:
         why = f"unknown, {least} or more: it needs --expect '{requirement.what}=MEAN:SPREAD', or --like DIR that has it"
         return replace(empty, why=why)
-    found = replace(empty, expected=expected)
+    need = replace(empty, expected=expected)
     if not requirement.holds(expected.mean) or expected.mean == requirement.threshold:
         side = "above" if requirement.at_least is not None else "below"
-        said = f"the expected mean, {wording.rounded(expected.mean)}, is not {side} {requirement.threshold:g}"
-        return replace(found, why=f"never: {said}")
+        cause = f"the expected mean, {wording.rounded(expected.mean)}, is not {side} {requirement.threshold:g}"
+        return replace(need, why=f"never: {cause}")
     if not expected.spread > 0:
-        return replace(found, why="never: equal values show nothing of a mean: ask for a share of seeds with `in`")
+        return replace(need, why="never: equal values show nothing of a mean: ask for a share of seeds with `in`")
     seeds = (_one_look if once else _sequential)(expected, requirement, limits_of(requirement, plan.keys.score), least)
     why = f"for a mean of {wording.rounded(expected.mean)} and a spread of {wording.rounded(expected.spread)}"
     why += f", {counted(expected.lost, 'lost run')} of it left out" * (expected.lost > 0)
-    return replace(found, seeds=seeds, why=why if seeds else f"more than {_MAX_SEEDS:,} {why}")
+    return replace(need, seeds=seeds, why=why if seeds else f"more than {_MAX_SEEDS:,} {why}")
 
 
 def _earlier_scores(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expectation | None:
     """Mean and spread of an earlier campaign, of the same trackers and values; None with fewer than two seeds."""
-    labels, condition = [each.label for each in like.keys.trackers], plan.conditions[case.condition]
+    labels, condition = [entry.label for entry in like.keys.trackers], plan.conditions[case.condition]
     wanted = condition.values, value_of(condition, SCENE)
-    same = [place for place, each in enumerate(like.conditions) if (each.values, value_of(each, SCENE)) == wanted]
+    same = [place for place, cell in enumerate(like.conditions) if (cell.values, value_of(cell, SCENE)) == wanted]
     if not same or not set(labels_of(plan, case)) <= set(labels):
         return None
-    tracker, *minus = (labels.index(each) for each in labels_of(plan, case))
+    tracker, *minus = (labels.index(label) for label in labels_of(plan, case))
     runs = rows.runs_of(Case(tracker, same[0], case.part, *minus), requirement.score, requirement.resting_on)
     means = runs.means(math.nan)
     means = means[np.isfinite(means)]

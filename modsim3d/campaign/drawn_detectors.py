@@ -74,21 +74,21 @@ def read_uncertainty(detector: Path) -> LearnedUncertainty:
         needed = f"needs {path.name} beside it, which modsim3d learn writes with the detector file: learn it again"
         raise InputError(source, [f"uncertainty: learned {needed}"])
     try:
-        found = LearnedUncertainty.model_validate(load_json(path, "uncertainty"))
+        uncertainty = LearnedUncertainty.model_validate(load_json(path, "uncertainty"))
     except ValidationError as error:
         raise InputError(f"uncertainty {path}", describe(error, LearnedUncertainty)) from None
-    if found.detector_sha256 != file_sha256(detector):
+    if uncertainty.detector_sha256 != file_sha256(detector):
         problem = f"{path.name} belongs to another detector file, or the file was changed since it was learned"
         raise InputError(source, [f"{problem}: learn it again (set keys with vary in the campaign, not in the file)"])
     few = [
         f"state {group.state}: learned from {group.units} {'image' if group.units == 1 else 'images or runs'}, too few "
         f"to say how well its numbers are known: at least {MIN_UNITS} are needed"
-        for group in found.groups
+        for group in uncertainty.groups
         if group.state is not None and group.units < MIN_UNITS
     ]
     if few:
         raise InputError(source, few)
-    return found
+    return uncertainty
 
 
 _STREAM = 3  # keeps these random numbers apart from those of the drawn keys, see `plan.drawn`
@@ -169,7 +169,7 @@ def _draw_number(number: LearnedNumber, z: Array, widen: float, rng: np.random.G
     if number.name == "confusion":
         missed = jeffreys_share(estimate[-1], trials[-1], special.ndtr(z[-1]))
         columns = zip(estimate[:-1].T, trials[-1] * (1 - estimate[-1]), strict=True)
-        labels = np.stack([_distribution(found, count, rng) for found, count in columns], axis=1)
+        labels = np.stack([_distribution(shares, count, rng) for shares, count in columns], axis=1)
         return np.vstack([labels * (1 - missed), missed])
     if number.name in ("false_positive_labels", "density"):
         return _distribution(estimate.ravel(), float(trials.max()), rng).reshape(estimate.shape)

@@ -88,18 +88,18 @@ def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
         path = rows / LIST
         try:
             read = orjson.loads(path.read_bytes())["files"].items()
-            files: FileList = {name: {"bytes": each["bytes"], "sha256": each["sha256"]} for name, each in read}
-            names = sorted({*files, *(each.relative_to(folder).as_posix() for each in rows.glob(_ROWS))})
-            there = file_list(folder, (name for name in names if (folder / name).is_file()))
+            files: FileList = {name: {"bytes": entry["bytes"], "sha256": entry["sha256"]} for name, entry in read}
+            names = sorted({*files, *(file.relative_to(folder).as_posix() for file in rows.glob(_ROWS))})
+            disk_files = file_list(folder, (name for name in names if (folder / name).is_file()))
         except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
             raise ModsimError(
                 f"{path} cannot be read, or a file that it lists: {error}; remove {rows}, and the same command makes "
                 "it again"
             ) from None
         for name in names:
-            if there.get(name) != files.get(name) and (name in there or name not in later):
-                said = f"it {_file_state(there.get(name))}, and in {path} it {_file_state(files.get(name))}"
-                raise ModsimError(f"{folder / name} was changed after the campaign ended: {said}")
+            if disk_files.get(name) != files.get(name) and (name in disk_files or name not in later):
+                change = f"it {_file_state(disk_files.get(name))}, and in {path} it {_file_state(files.get(name))}"
+                raise ModsimError(f"{folder / name} was changed after the campaign ended: {change}")
 
 
 def _file_state(file: ListedFile | None) -> str:
@@ -113,22 +113,22 @@ PARTS = ("campaign", "versions")  # of a plan, what its user knows: the keys of 
 def differences(there: Any, now: Mapping[str, Any]) -> list[str]:
     """The first few keys whose values differ between the content of a stored plan and another, each with both."""
     there = there if isinstance(there, dict) else {}
-    found = [line for part in PARTS for line in _between(there.get(part), now.get(part), (part,))]
-    lines = [line.removeprefix("campaign.") for line in found[:MAX_KEYS]]
-    if len(found) > MAX_KEYS:
-        lines.append(f"{len(found) - MAX_KEYS} more keys")
+    changes = [line for part in PARTS for line in _between(there.get(part), now.get(part), (part,))]
+    lines = [line.removeprefix("campaign.") for line in changes[:MAX_KEYS]]
+    if len(changes) > MAX_KEYS:
+        lines.append(f"{len(changes) - MAX_KEYS} more keys")
     return lines or ["a scene, a detector or a tracker that it names was changed"]
 
 
-def _between(there: Any, now: Any, path: tuple[int | str, ...]) -> Iterator[str]:
-    if isinstance(there, dict) and isinstance(now, dict):
-        for key in dict.fromkeys([*there, *now]):
-            yield from _between(there.get(key), now.get(key), (*path, key))
-    elif isinstance(there, list) and isinstance(now, list) and len(there) == len(now):
-        for place, (one, other) in enumerate(zip(there, now, strict=True)):
+def _between(record: Any, now: Any, path: tuple[int | str, ...]) -> Iterator[str]:
+    if isinstance(record, dict) and isinstance(now, dict):
+        for key in dict.fromkeys([*record, *now]):
+            yield from _between(record.get(key), now.get(key), (*path, key))
+    elif isinstance(record, list) and isinstance(now, list) and len(record) == len(now):
+        for place, (one, other) in enumerate(zip(record, now, strict=True)):
             yield from _between(one, other, (*path, place))
-    elif there != now:
-        yield f"{join_path(*path)} is {shown(there)} there and {shown(now)} now"
+    elif record != now:
+        yield f"{join_path(*path)} is {shown(record)} there and {shown(now)} now"
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +190,14 @@ def _read_plan(path: Path) -> tuple[dict[str, Any], CampaignKeys]:
     """Content of `plan.json`, and the campaign file in it; ModsimError if it is missing, damaged or changed later."""
     try:
         facts: dict[str, Any] = orjson.loads(path.read_bytes())
-        stated, found, keys = facts["sha256"], plan_digest(facts), CampaignKeys.model_validate(facts["campaign"])
+        stated, checksum, keys = facts["sha256"], plan_digest(facts), CampaignKeys.model_validate(facts["campaign"])
     except OSError as error:
         raise ModsimError(f"{path.parent} is no folder of a campaign: {PLAN}: {error.strerror or error}") from None
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise ModsimError(f"{path} is damaged: {type(error).__name__}: {error}") from None
-    if found != stated:
+    if checksum != stated:
         raise ModsimError(
-            f"{path} was changed after it was written: what decides the results has the checksum {found}, and its "
+            f"{path} was changed after it was written: what decides the results has the checksum {checksum}, and its "
             f"sha256 is {stated}"
         )
     return facts, keys
@@ -270,13 +270,13 @@ def locked_campaign(folder: Path) -> Iterator[None]:
 
 def _check_same(plan: Path, facts: dict[str, Any]) -> None:
     """Refuse a folder with another plan: OutputError says what differs. ModsimError if the plan is damaged."""
-    found, _ = _read_plan(plan)
-    if found["sha256"] == facts["sha256"]:
+    old_facts, _ = _read_plan(plan)
+    if old_facts["sha256"] == facts["sha256"]:
         return
-    files = differing_files(found["files"], facts["files"])
-    before, now = found.get("plugins", {}), facts.get("plugins", {})
+    files = differing_files(old_facts["files"], facts["files"])
+    before, now = old_facts.get("plugins", {}), facts.get("plugins", {})
     files += [f"{file} of the plug-in {key}" for key in now for file in differing(before.get(key, now[key]), now[key])]
-    changed = f"{', '.join(files)} changed" if files else "; ".join(differences(found, facts))
+    changed = f"{', '.join(files)} changed" if files else "; ".join(differences(old_facts, facts))
     raise OutputError(f"{plan.parent} holds a campaign with another plan: {changed}. Choose another folder")
 
 
@@ -296,13 +296,13 @@ def killed_sentence(folder: CampaignFolder) -> str | None:
     """A sentence on the workers killed so far: number, signals and runs; None if there were none."""
     path = folder.path / LOG
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
-    found = [match.groups() for line in lines if (match := _LINE.fullmatch(line))]
-    if not found:
+    kills = [match.groups() for line in lines if (match := _LINE.fullmatch(line))]
+    if not kills:
         return None
-    hows = listed([f"{how} {count}×" for how, count in Counter(how for how, _ in found).items()])
-    runs = listed(sorted({run for _, runs in found for run in runs.split(",")}, key=int), _MAX_RUNS)
+    hows = listed([f"{how} {count}×" for how, count in Counter(how for how, _ in kills).items()])
+    runs = listed(sorted({run for _, runs in kills for run in runs.split(",")}, key=int), _MAX_RUNS)
     return (
-        f"Killed from outside, and their work tried again: {counted(len(found), 'worker')} ({hows}); runs under way: "
+        f"Killed from outside, and their work tried again: {counted(len(kills), 'worker')} ({hows}); runs under way: "
         f"{runs} ({LOG})."
     )
 
@@ -310,5 +310,5 @@ def killed_sentence(folder: CampaignFolder) -> str | None:
 def files_of_campaign(folder: CampaignFolder) -> list[Path]:
     """Its file, its plan, its verdicts, its rows or trials, and the list of all these."""
     patterns = ("*.json", f"{RESULTS}/scene=*/part-*.parquet", f"{SEARCH}/*.parquet", f"*/{LIST}")
-    found = [path for pattern in patterns for path in sorted(folder.path.glob(pattern))]
-    return [folder.path / FILE, *found, *sorted(folder.done.glob(ROWS_PATTERN))]
+    paths = [path for pattern in patterns for path in sorted(folder.path.glob(pattern))]
+    return [folder.path / FILE, *paths, *sorted(folder.done.glob(ROWS_PATTERN))]

@@ -242,7 +242,7 @@ class Requirement(Strict):
             return value
         if "share" in value and "in" in value:
             raise ValueError("share and in are the same here: leave one out")
-        kept = {key: each for key, each in value.items() if key not in ("of", "share")}
+        kept = {key: setting for key, setting in value.items() if key not in ("of", "share")}
         return {"score": KNOWN, **kept, "kind": value.get("of") or {}, "in": value.get("share", value.get("in"))}
 
     @model_serializer(mode="wrap")
@@ -288,7 +288,7 @@ class Requirement(Strict):
     @property
     def threshold(self) -> float:
         """The value that is just right."""
-        threshold = next((each for each in (self.at_least, self.at_most) if each is not None), self.known_at_m)
+        threshold = next((limit for limit in (self.at_least, self.at_most) if limit is not None), self.known_at_m)
         assert threshold is not None
         return threshold
 
@@ -341,8 +341,8 @@ class LabelledVideos(Strict):
     def called(self) -> str:
         """Its name in tables: that of the file, or of the folder of a MOT sequence."""
         path = Path(self.truth)
-        found = path.parts[-3] if path.parts[-2:] == ("gt", "gt.txt") and len(path.parts) > 2 else path.stem
-        return self.name or re.sub("[^A-Za-z0-9_-]", "_", found)
+        stem = path.parts[-3] if path.parts[-2:] == ("gt", "gt.txt") and len(path.parts) > 2 else path.stem
+        return self.name or re.sub("[^A-Za-z0-9_-]", "_", stem)
 
 
 class CampaignKeys(Strict):
@@ -367,13 +367,13 @@ class CampaignKeys(Strict):
     @property
     def timed(self) -> bool:
         """Whether what runs took is noted: where a program runs, or a requirement is on it."""
-        programs = any(each.command is not None for each in self.trackers)
-        return self.search is None and (programs or any(each.of_time for each in self.require))
+        programs = any(tracker.command is not None for tracker in self.trackers)
+        return self.search is None and (programs or any(requirement.of_time for requirement in self.require))
 
     @property
     def lookout(self) -> bool:
         """Whether a requirement is on the distances of approaches."""
-        return any(each.known_at_m is not None for each in self.require)
+        return any(requirement.known_at_m is not None for requirement in self.require)
 
     @model_validator(mode="before")
     @classmethod
@@ -383,7 +383,7 @@ class CampaignKeys(Strict):
             return value
         if "scenes" in value:
             raise ValueError("give either scene or scenes")
-        return {"scenes": [value["scene"]], **{key: each for key, each in value.items() if key != "scene"}}
+        return {"scenes": [value["scene"]], **{key: setting for key, setting in value.items() if key != "scene"}}
 
 
 @dataclass(frozen=True)
@@ -421,17 +421,17 @@ def find_campaign(campaign: StrPath) -> Path:
 def _labelled_videos(data: dict[str, Any], path: Path) -> tuple[dict[int, LabelledVideos], dict[str, Any]]:
     """The labelled videos of a campaign file, and its content with the name in place of each of them."""
     given = data.get("scenes", [data["scene"]] if "scene" in data else None)
-    if not isinstance(given, list) or not any(isinstance(each, dict) for each in given):
+    if not isinstance(given, list) or not any(isinstance(scene, dict) for scene in given):
         return {}, data
     videos = dict[int, LabelledVideos]()
-    for place, each in enumerate(given):
-        if isinstance(each, dict):
+    for place, scene in enumerate(given):
+        if isinstance(scene, dict):
             try:
-                videos[place] = LabelledVideos.model_validate(each)
+                videos[place] = LabelledVideos.model_validate(scene)
             except ValidationError as error:
                 raise InputError(f"campaign {path}", describe(error, LabelledVideos, "scenes", place)) from None
-    scenes = [videos[place].called if place in videos else each for place, each in enumerate(given)]
-    names = [each.called for each in videos.values()]
+    scenes = [videos[place].called if place in videos else scene for place, scene in enumerate(given)]
+    names = [video.called for video in videos.values()]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"campaign {path}", [f"scenes: two are called '{twice[0]}': give them a name of their own"])
     return videos, {**{key: value for key, value in data.items() if key != "scene"}, "scenes": scenes}

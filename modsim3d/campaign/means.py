@@ -68,10 +68,10 @@ def usual_keys(plan: Plan) -> tuple[str, ...]:
 
 def usual_scores(plan: Plan, table: pa.Table) -> tuple[str, ...]:
     """The columns that requirements are about, as far as there are rows with them, and those of some other scores."""
-    required = [column for each in plan.keys.require for column in columns_of(plan, each)]
-    usual = [each for each in (*USUAL, *USUAL_IN_WORLD) if each in table.column_names]
-    some = [each for each in usual if table[each].null_count < len(table)] or USUAL
-    return tuple(dict.fromkeys(each for each in (*required, *some) if each in table.column_names))
+    required = [column for requirement in plan.keys.require for column in columns_of(plan, requirement)]
+    usual = [score for score in (*USUAL, *USUAL_IN_WORLD) if score in table.column_names]
+    some = [score for score in usual if table[score].null_count < len(table)] or USUAL
+    return tuple(dict.fromkeys(score for score in (*required, *some) if score in table.column_names))
 
 
 def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list[MeanRow]:
@@ -85,7 +85,7 @@ def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list
         [("run", "min"), ("run", "count"), ("crashed runs", "sum"), *((score, "mean") for score in scores)]
     )
     spread = pc.VarianceOptions(ddof=1)
-    found = by_seed.group_by(keys, use_threads=False).aggregate(
+    groups = by_seed.group_by(keys, use_threads=False).aggregate(
         [
             *(("run_min", "min"), ("run_count", "sum"), ("crashed runs_sum", "sum")),
             *((f"{score}_mean", "mean") for score in scores),
@@ -93,7 +93,7 @@ def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list
             *((f"{score}_mean", "count") for score in scores),
         ]
     )
-    return [_mean_row(row, keys, scores) for row in found.sort_by("run_min_min").to_pylist()]
+    return [_mean_row(row, keys, scores) for row in groups.sort_by("run_min_min").to_pylist()]
 
 
 def _mean_row(row: dict[str, Any], keys: Sequence[str], scores: Sequence[str]) -> MeanRow:
@@ -115,11 +115,11 @@ def _check(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> None:
     """Check that the rows have these keys and scores; ModsimError if they do not."""
     names = table.column_names
     first = names.index(SEED)
-    known = ["scene", TRACKER, *names[names.index("tracker") + 1 : names.index("status")]]
+    keys = ["scene", TRACKER, *names[names.index("tracker") + 1 : names.index("status")]]
     for key in by:
-        if key not in known:
-            raise ModsimError(f"--by {key}: is not varied in this campaign ({nearest(key, known)})")
-    kinds = {name: table[name].type for name in names[first:] if name not in (*known, SEED, "detector_seed")}
+        if key not in keys:
+            raise ModsimError(f"--by {key}: is not varied in this campaign ({nearest(key, keys)})")
+    kinds = {name: table[name].type for name in names[first:] if name not in (*keys, SEED, "detector_seed")}
     numbers = [name for name, kind in kinds.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
     for score in scores:
         if score not in numbers:
@@ -161,14 +161,14 @@ REQUIRED = "Intervals of means that are required are those of the requirements."
 
 def required_means(plan: Plan, verdicts: Sequence[Verdict]) -> list[tuple[str, dict[str, Any], Verdict]]:
     """The first verdict on each mean of a tracker, with the column of its score and the values that its rows have."""
-    found: dict[tuple[str, int, str], tuple[str, dict[str, Any], Verdict]] = {}
-    for each in verdicts:
-        requirement = plan.keys.require[each.requirement]
+    means: dict[tuple[str, int, str], tuple[str, dict[str, Any], Verdict]] = {}
+    for verdict in verdicts:
+        requirement = plan.keys.require[verdict.requirement]
         if requirement.share is None and requirement.of is None:
-            values = {**each.values, TRACKER: each.tracker}
+            values = {**verdict.values, TRACKER: verdict.tracker}
             column = "".join(f"{key}.{values.pop(key)}." for key in groups_of(plan, requirement)) + requirement.score
-            found.setdefault((column, each.condition, each.tracker), (column, values, each))
-    return list(found.values())
+            means.setdefault((column, verdict.condition, verdict.tracker), (column, values, verdict))
+    return list(means.values())
 
 
 def with_required(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
@@ -201,16 +201,16 @@ def _mean_text(mean: Mean, most: int) -> str:
 
 def repeat_sentences(plan: Plan, table: pa.Table) -> list[str]:
     """A sentence for each program: whether its first run gave the same tracks when it was made again at once."""
-    programs = [place for place, each in enumerate(plan.keys.trackers) if each.command is not None]
+    programs = [place for place, tracker in enumerate(plan.keys.trackers) if tracker.command is not None]
     names = [name for name in ("run", "status", TRACKER, REPEATS) if name in table.column_names]
-    said = {
+    texts = {
         True: "made twice: {} gave the same tracks",
         False: "made twice: {} gave OTHER TRACKS, so its rows depend on chance",
         None: "crashed: whether {} gives the same tracks again is not known",
     }
     rows = table.select(names).filter(pc.is_in(table["run"], pa.array(programs, pa.int64()))).to_pylist()
-    known = [(row, row.get(REPEATS)) for row in rows if row.get(REPEATS) is not None or row["status"] == CRASHED]
-    return [f"Run {row['run']} {said[repeats].format(row[TRACKER])}." for row, repeats in known]
+    outcomes = [(row, row.get(REPEATS)) for row in rows if row.get(REPEATS) is not None or row["status"] == CRASHED]
+    return [f"Run {row['run']} {texts[repeats].format(row[TRACKER])}." for row, repeats in outcomes]
 
 
 def same_detections(plan: Plan, table: pa.Table) -> list[str]:
@@ -218,25 +218,25 @@ def same_detections(plan: Plan, table: pa.Table) -> list[str]:
     names, seen = ("condition", "traffic_seed", "detector_seed", "detections_sha256"), dict[int, set[tuple[str, ...]]]()
     if not {*names} <= {*table.column_names}:  # it was made by an older version, or has no rows
         return []
-    for place, *found in zip(*(table[name].to_pylist() for name in names), strict=True):
-        if None not in found:
-            seen.setdefault(place, set()).add(tuple(map(str, found)))
+    for place, *record in zip(*(table[name].to_pylist() for name in names), strict=True):
+        if None not in record:
+            seen.setdefault(place, set()).add(tuple(map(str, record)))
     groups: dict[str, dict[str, Condition]] = {}
     for place in sorted(seen):
         condition = plan.conditions[place]
         asked = digest(condition.scene, condition.of_truth(), condition.of_detector())
         groups.setdefault(digest(sorted(seen[place])), {}).setdefault(asked, condition)
     return [
-        f"the detections are the same in all runs with {_in_words([*each.values()])}: what differs there changes "
+        f"the detections are the same in all runs with {_in_words([*group.values()])}: what differs there changes "
         "nothing that a tracker sees, and a verdict on one condition says nothing of the other"
-        for each in groups.values()
-        if len(each) > 1
+        for group in groups.values()
+        if len(group) > 1
     ]
 
 
 def _in_words(conditions: list[Condition]) -> str:
     """The values of each condition that are not those of all of them."""
-    values = [{"scene": each.scene, **each.of_truth(), **each.of_detector()} for each in conditions]
-    keys = dict.fromkeys(key for each in values for key in each)
-    differing = [key for key in keys if len({shown(each.get(key)) for each in values}) > 1]
-    return listed([" and ".join(f"{key} {shown(each.get(key))}" for key in differing) for each in values])
+    values = [{"scene": condition.scene, **condition.of_truth(), **condition.of_detector()} for condition in conditions]
+    keys = dict.fromkeys(key for facts in values for key in facts)
+    differing = [key for key in keys if len({shown(facts.get(key)) for facts in values}) > 1]
+    return listed([" and ".join(f"{key} {shown(facts.get(key))}" for key in differing) for facts in values])

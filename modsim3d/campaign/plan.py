@@ -122,7 +122,7 @@ def drawn_values(factors: Sequence[Factor], base: int, index: int, count: int) -
 
 def at(ranges: Mapping[str, Range], point: Array) -> dict[str, Any]:
     """The values at a point of the unit cube, shape (number of ranges,)."""
-    return {key: value_at(each, float(share)) for (key, each), share in zip(ranges.items(), point, strict=True)}
+    return {key: value_at(span, float(share)) for (key, span), share in zip(ranges.items(), point, strict=True)}
 
 
 def value_at(values: Range, share: float) -> Any:
@@ -214,7 +214,7 @@ class Plan:
 
     def runs(self, numbers: Sequence[int]) -> list[PlannedRun]:
         """The runs with some numbers."""
-        keys, found = self.keys, []
+        keys, runs = self.keys, []
         # runs of a traffic seed follow each other
         drawn = cache(lambda index: drawn_values(keys.vary, keys.seed, index, keys.seeds.traffic))
         for number in numbers:
@@ -224,8 +224,8 @@ class Plan:
             condition = self.conditions[place].with_values(drawn(seed_index))
             traffic = traffic_seed(keys.seed, seed_index)
             seeds = traffic, detector_seed(traffic, look)
-            found.append(PlannedRun(number, seed_index, place, condition, *seeds, keys.trackers[tracker]))
-        return found
+            runs.append(PlannedRun(number, seed_index, place, condition, *seeds, keys.trackers[tracker]))
+        return runs
 
 
 # ---- What a requirement is about ----
@@ -264,7 +264,7 @@ class Case:
 
 def labels_of(plan: Plan, case: Case) -> list[str]:
     """Names in tables of the tracker of a case, and of the one whose score is taken off."""
-    return [plan.keys.trackers[each].label for each in (case.tracker, case.minus) if each is not None]
+    return [plan.keys.trackers[index].label for index in (case.tracker, case.minus) if index is not None]
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
@@ -273,11 +273,11 @@ def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
     labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
     named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]
     parts: list[RunPart | None] = [*dict.fromkeys(named)]
-    chosen = [index for index, each in enumerate(plan.conditions) if selects(wanted, each)]
-    trackers = [index for index, each in enumerate(plan.keys.trackers) if labels is None or each.label in labels]
-    minus = next((index for index, each in enumerate(plan.keys.trackers) if each.label == requirement.minus), None)
+    chosen = [index for index, condition in enumerate(plan.conditions) if selects(wanted, condition)]
+    trackers = [index for index, keys in enumerate(plan.keys.trackers) if labels is None or keys.label in labels]
+    minus = next((index for index, keys in enumerate(plan.keys.trackers) if keys.label == requirement.minus), None)
     cases = ((tracker, condition) for tracker in trackers for condition in chosen)
-    return [Case(*each, part, minus) for each in cases for part in parts or [None]]
+    return [Case(*pair, part, minus) for pair in cases for part in parts or [None]]
 
 
 def groups_of(plan: Plan, requirement: Requirement) -> list[str]:
@@ -289,14 +289,14 @@ def wanted_of(requirement: Requirement) -> dict[str, list[Any]]:
     """The values that each key of `where` may have, each once."""
     given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
     return {
-        key: [each for place, each in enumerate(values) if not any(same(each, other) for other in values[:place])]
+        key: [value for place, value in enumerate(values) if not any(same(value, other) for other in values[:place])]
         for key, values in given.items()
     }
 
 
 def selects(wanted: dict[str, list[Any]], condition: Condition) -> bool:
     """Whether a condition has one of the values of each key."""
-    return all(any(same(value_of(condition, key), each) for each in values) for key, values in wanted.items())
+    return all(any(same(value_of(condition, key), value) for value in values) for key, values in wanted.items())
 
 
 def same(value: Any, wanted: Any) -> bool:
@@ -336,8 +336,8 @@ def value_column(values: Sequence[Any], possible: Iterable[Any]) -> pa.Array:
 def values_text(values: Mapping[str, Any], keys: Iterable[str] | None = None) -> str:
     """Values of some keys, or of all, in words; a dash if there are none."""
     wanted = values if keys is None else keys
-    said = [f"{key} {value_text(values[key])}" for key in wanted if values.get(key) is not None]
-    return ", ".join(said) or UNKNOWN
+    parts = [f"{key} {value_text(values[key])}" for key in wanted if values.get(key) is not None]
+    return ", ".join(parts) or UNKNOWN
 
 
 MAX_KEYS = 4  # keys that have columns of their own in a table

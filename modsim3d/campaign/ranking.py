@@ -83,11 +83,11 @@ def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
         for verdict in verdicts:
             if verdict.outcome == outcome:
                 by_requirement.setdefault(verdict.requirement, []).append(verdict)
-        yield [_of_requirement(plan, table, each) for each in by_requirement.values()]
+        yield [_of_requirement(plan, table, group) for group in by_requirement.values()]
 
 
 def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> _Ranking:
-    requirement, labels = plan.keys.require[verdicts[0].requirement], [each.label for each in plan.keys.trackers]
+    requirement, labels = plan.keys.require[verdicts[0].requirement], [tracker.label for tracker in plan.keys.trackers]
     trackers = np.asarray(table["tracker"].to_pylist(), dtype=object)
     conditions = table["condition"].to_numpy()
     chosen = np.zeros(len(table), dtype=bool)
@@ -103,10 +103,10 @@ def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) ->
 def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool, off: int = 0) -> _Ranking:
     """Chosen rows, the worst first, by the worst of some columns; those without a value are left out. With `off`, the
     values are differences to those of the run whose number is so much greater."""
-    there = [name for name in columns if name in table.column_names]
-    if not there:
+    names = [name for name in columns if name in table.column_names]
+    if not names:
         return _Ranking(np.empty(0, dtype=np.int64), USUAL_SCORE)
-    values = np.column_stack([table[name].cast(pa.float64()).to_numpy() for name in there])
+    values = np.column_stack([table[name].cast(pa.float64()).to_numpy() for name in names])
     if off:
         others = table["run"].to_numpy() + off
         places = np.minimum(np.searchsorted(table["run"].to_numpy(), others), len(table) - 1)
@@ -114,14 +114,14 @@ def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: b
         values = np.where(there_too[:, None], values - values[places], np.nan)
     badness = np.where(np.isnan(values), -np.inf, -values if lowest else values).max(axis=1)
     rows = np.flatnonzero(chosen & (badness > -np.inf))
-    return _Ranking(rows[np.argsort(-badness[rows], kind="stable")], there[0])
+    return _Ranking(rows[np.argsort(-badness[rows], kind="stable")], names[0])
 
 
 def _by_turns(rankings: Sequence[_Ranking]) -> Iterator[tuple[int, _Ranking]]:
-    for place in range(max((len(each.rows) for each in rankings), default=0)):
-        for each in rankings:
-            if place < len(each.rows):
-                yield int(each.rows[place]), each
+    for place in range(max((len(ranking.rows) for ranking in rankings), default=0)):
+        for ranking in rankings:
+            if place < len(ranking.rows):
+                yield int(ranking.rows[place]), ranking
 
 
 def _worst_run(folder: CampaignFolder, row: dict[str, object], ranking: _Ranking) -> WorstRun:

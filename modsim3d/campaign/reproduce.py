@@ -40,12 +40,12 @@ from modsim3d.view.films.files import check_encoder
 def run_there(folder: Path, scene: Scene) -> StoredRun | None:
     """Run of a scene with its seeds in a run directory; None if there is none, or another one, or a damaged one."""
     try:
-        found = open_run(folder)
-        found.finished_tables.check_checksums()
+        run = open_run(folder)
+        run.finished_tables.check_checksums()
     except ModsimError:
         return None
-    wanted = orjson.loads(orjson.dumps(settings_of(scene, found.settings["backend"])))
-    return found if all(found.settings.get(key) == value for key, value in wanted.items()) else None
+    wanted = orjson.loads(orjson.dumps(settings_of(scene, run.settings["backend"])))
+    return run if all(run.settings.get(key) == value for key, value in wanted.items()) else None
 
 
 def tracks_there(folder: Path, run: StoredRun, named: NamedTracker) -> Tracks | WorldTracks | None:
@@ -77,8 +77,8 @@ def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
     """Row of a run; None if it is not done. Raises ModsimError for damaged results."""
     if not folder.results.is_dir():  # or a search
         table = rows_of(folder)
-        found = table.filter(pc.equal(table["run"], number)).to_pylist()
-        return found[0] if found else None
+        matches = table.filter(pc.equal(table["run"], number)).to_pylist()
+        return matches[0] if matches else None
     for path in sorted(folder.results.glob("scene=*/part-*.parquet")):
         if rows := pq.read_table(path, partitioning=None, filters=[("run", "==", number)]).to_pylist():
             return {"scene": path.parent.name.partition("=")[2], **rows[0]}
@@ -166,8 +166,8 @@ def reproduce_run(
     except Exception as failure:
         where = traceback.extract_tb(failure.__traceback__)[-1]
         raised_at = f"{where.filename}, line {where.lineno}, in {where.name}"
-        error, said = error_and_said(failure)
-        raised_at += f"; standard error: {said}" if said else ""
+        error, message = error_and_said(failure)
+        raised_at += f"; standard error: {message}" if message else ""
     if film and row is not None and row["worst_s"] is not None:
         score = score_of_run(folder, (state := present_state(folder)).table, state.verdicts, number)
         about = rules_of(folder.keys.score), row["worst_s"], score
@@ -194,8 +194,8 @@ def _row(
     progress(0, scene.steps)
     named = tracker_of(run.tracker, run.condition.of_tracker(), scene.name, Path(work.base))
     stored = None if overwrite else run_there(out, scene)
-    found = None if stored is None else tracks_there(tracks, stored, named)
-    if found is None:
+    track_data = None if stored is None else tracks_there(tracks, stored, named)
+    if track_data is None:
         for path in track_paths(tracks):
             check_free(path, overwrite)
     if stored is None:
@@ -204,11 +204,11 @@ def _row(
     else:
         reused.append(out)
         progress(stored.steps)
-    if found is None:
-        found = track_run(stored, tracks, tracker=named, overwrite=overwrite).tracks
+    if track_data is None:
+        track_data = track_run(stored, tracks, tracker=named, overwrite=overwrite).tracks
     else:
         reused.append(tracks)
-    made = LayeredRun(RunRows.of(stored), found, "", "", "")
+    made = LayeredRun(RunRows.of(stored), track_data, "", "", "")
     return row_of(run.number, made, work.keys.score, work.keys.lookout)
 
 

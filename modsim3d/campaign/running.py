@@ -41,8 +41,8 @@ def same_truth(plan: Plan, facts: Sequence[ConditionFacts], numbers: Iterable[in
     groups: dict[tuple[str, int], list[int]] = {}
     for number in numbers:
         seed, place = divmod(number, plan.runs_by_seed)
-        found = facts[place // by_condition]
-        key = found.truth_sha256, seed if found.truth_has_seed or drawn else 0
+        condition = facts[place // by_condition]
+        key = condition.truth_sha256, seed if condition.truth_has_seed or drawn else 0
         groups.setdefault(key, []).append(number)
     return list(groups.values())
 
@@ -212,8 +212,8 @@ def read_back(task: Task, read: Callable[[], T | None]) -> T:
     another machine may take a while to be seen on this one. Raises OutputError if it cannot be read."""
     for wait_s in (0.0, *READ_AGAIN_S):
         time.sleep(wait_s)
-        if (found := read()) is not None:
-            return found
+        if (content := read()) is not None:
+            return content
     raise OutputError(
         f"{task.path} was written, and cannot be read here: all workers need the folder of the campaign itself"
     )

@@ -62,16 +62,16 @@ def sentence(folder: CampaignFolder, table: pa.Table) -> str:
     counts = {
         status: pc.sum(pc.equal(table["status"], status)).as_py() or 0 for status in (CRASHED, search_folder.REFUSED)
     }
-    worst = [each for each in findings(folder, table, 1) if each.error is None]
-    found = f"no trial has a {score_name(score)}"
+    worst = [finding for finding in findings(folder, table, 1) if finding.error is None]
+    outcome = f"no trial has a {score_name(score)}"
     if worst:
-        found = f"{word} {score_name(score)} {three_digits(worst[0].value)} in trial {worst[0].number}"
-    said = f"{len(table):,} of {search.budget:,} trials: {found}"
+        outcome = f"{word} {score_name(score)} {three_digits(worst[0].value)} in trial {worst[0].number}"
+    summary = f"{len(table):,} of {search.budget:,} trials: {outcome}"
     if counts[CRASHED]:
-        said += f"; {counts[CRASHED]} crashed"
+        summary += f"; {counts[CRASHED]} crashed"
     if counts[search_folder.REFUSED]:
-        said += f"; {counts[search_folder.REFUSED]} had values that the scene, the detector or the tracker refuses"
-    return f"{said}. {NO_RATE}"
+        summary += f"; {counts[search_folder.REFUSED]} had values that the scene, the detector or the tracker refuses"
+    return f"{summary}. {NO_RATE}"
 
 
 def _finding(folder: CampaignFolder, row: dict[str, Any], score: str) -> Finding:
@@ -144,28 +144,28 @@ class _Trials:
 
     def make_all(self) -> None:
         """Make all trials, a batch after another."""
-        search, known = self._search, list[search_folder.TriedPoint]()
+        search, history = self._search, list[search_folder.TriedPoint]()
         for batch in range(search_folder.batches(search)):
             points = search_folder.stored_batch(self._folder, batch)
             if points is None:
-                points = search_folder.proposed(search, self._folder.keys.seed, batch, known)
+                points = search_folder.proposed(search, self._folder.keys.seed, batch, history)
                 search_folder.store_batch(self._folder, batch, points)
             rows = self._make(search_folder.planned_batch(self._folder, batch, points))
-            known += [search_folder.tried(point, row, search) for point, row in zip(points, rows, strict=True)]
+            history += [search_folder.tried(point, row, search) for point, row in zip(points, rows, strict=True)]
 
     def _make(self, runs: Sequence[PlannedRun]) -> list[dict[str, Any]]:
         """The rows of a batch of trials."""
         tasks = {run.number: Task(self._common, (run,)) for run in runs}
-        found = {
+        rows = {
             number: self._record(row, task) for number, task in tasks.items() if (row := search_folder.done_row(task))
         }
-        waiting = deque(task for number, task in tasks.items() if number not in found)
+        waiting = deque(task for number, task in tasks.items() if number not in rows)
         for task, _ in self._dispatch.done(lambda: waiting.popleft() if waiting else None):
             self._made += 1
-            found[task.runs[0].number] = self._record(read_back(task, partial(search_folder.done_row, task)), task)
-            self._tell(len(found))
+            rows[task.runs[0].number] = self._record(read_back(task, partial(search_folder.done_row, task)), task)
+            self._tell(len(rows))
         self.runs += runs
-        self.rows += [found[run.number] for run in runs]
+        self.rows += [rows[run.number] for run in runs]
         return self.rows[-len(runs) :]
 
     def _record(self, row: dict[str, Any], task: Task) -> dict[str, Any]:

@@ -43,7 +43,7 @@ class Point:
 
     def values(self, ranges: Mapping[str, Range]) -> dict[str, Any]:
         """The values of the keys."""
-        places = ((key, each.choices, self.places[key]) for key, each in ranges.items())
+        places = ((key, span.choices, self.places[key]) for key, span in ranges.items())
         return {key: place if choices is None else choices[int(place)] for key, choices, place in places}
 
 
@@ -51,13 +51,13 @@ def distributions(search: SearchKeys) -> dict[str, BaseDistribution]:
     """Dimensions as Optuna knows them. Traffic seeds are categories: neighbouring numbers have nothing in common."""
     from optuna.distributions import CategoricalDistribution
 
-    found = {key: _distribution(each) for key, each in search.over.items()}
-    return {**found, SEED: CategoricalDistribution(range(search.seeds))} if search.seeds > 1 else found
+    by_key = {key: _distribution(span) for key, span in search.over.items()}
+    return {**by_key, SEED: CategoricalDistribution(range(search.seeds))} if search.seeds > 1 else by_key
 
 
 def point_of(parameters: Mapping[str, Any], search: SearchKeys) -> Point:
     """Point that Optuna proposes, without the last digits, which depend on the processor."""
-    places = {key: _rounded(each, parameters[key]) for key, each in search.over.items()}
+    places = {key: _rounded(span, parameters[key]) for key, span in search.over.items()}
     return Point(int(parameters.get(SEED, 0)), places)
 
 
@@ -107,7 +107,7 @@ def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[TriedPoi
             direction="minimize" if search.minimise is not None else "maximize",
             sampler=optuna.samplers.TPESampler(seed=own_seed, multivariate=True, constant_liar=True),
         )
-    study.add_trials([_trial(each, search) for each in tried])
+    study.add_trials([_trial(point, search) for point in tried])
     count = min(search.batch, search.budget - batch * search.batch)
     return [point_of(study.ask(space).params, search) for _ in range(count)]
 
@@ -171,8 +171,8 @@ def refusal(run: PlannedRun, scenes: Scenes) -> str | None:
 def trial_row(row: Mapping[str, Any], run: PlannedRun, scenes: Scenes) -> dict[str, Any]:
     """The row of a trial, in which a refused one is told apart from a crash."""
     alive = row["error"] != DIED  # what ended a worker is not tried in this process
-    if row["status"] == CRASHED and alive and (said := refusal(run, scenes)) is not None:
-        return {**row, "status": REFUSED, "error": said}
+    if row["status"] == CRASHED and alive and (reason := refusal(run, scenes)) is not None:
+        return {**row, "status": REFUSED, "error": reason}
     return dict(row)
 
 
@@ -192,7 +192,7 @@ def stored_batch(folder: CampaignFolder, batch: int) -> list[Point] | None:
     if not path.is_file():
         return None
     try:
-        return [Point(each["seed"], each["places"]) for each in orjson.loads(path.read_bytes())]
+        return [Point(point["seed"], point["places"]) for point in orjson.loads(path.read_bytes())]
     except (OSError, ValueError, KeyError, TypeError):
         return None  # damaged: it is proposed again
 
@@ -212,8 +212,8 @@ def done_row(task: Task) -> dict[str, Any] | None:
 def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], search: SearchKeys) -> pa.Table:
     """Table of trials: `status` is `done`, `crashed` or `refused`; `values` holds the keys that were searched."""
     values = [{key: run.condition.values[key] for key in search.over} for run in runs]
-    columns = {key: _column([each[key] for each in values], found) for key, found in search.over.items()}
-    columns[VALUES] = pa.array([orjson.dumps(each).decode() for each in values])
+    columns = {key: _column([point[key] for point in values], span) for key, span in search.over.items()}
+    columns[VALUES] = pa.array([orjson.dumps(point).decode() for point in values])
     return with_columns(table_of(rows), runs, columns)
 
 
@@ -259,19 +259,19 @@ def planned_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -
 def trial_run(folder: StrPath, number: int) -> PlannedRun:
     """Run of a trial, for making it again. Raises ModsimError if this is no folder of a search, it is damaged, or it
     has no such trial, and TypeError if it is neither text nor a path."""
-    found = opened_campaign(folder)
-    searched(found)
-    if not found.finished:
-        runs = stored_trials(found)
+    campaign = opened_campaign(folder)
+    searched(campaign)
+    if not campaign.finished:
+        runs = stored_trials(campaign)
         if 0 <= number < len(runs):
             return runs[number]
-        raise ModsimError(_no_trial(found, number, len(runs)))
-    table = search_table(found)
+        raise ModsimError(_no_trial(campaign, number, len(runs)))
+    table = search_table(campaign)
     row = table.filter(pc.equal(table["run"], number)).select(["traffic_seed", VALUES]).to_pylist()
     if not row:
-        raise ModsimError(_no_trial(found, number, len(table)))
-    seed_index = row[0]["traffic_seed"] - traffic_seed(found.keys.seed, 0)
-    return planned_trial(found.plan, number, seed_index, orjson.loads(row[0][VALUES]))
+        raise ModsimError(_no_trial(campaign, number, len(table)))
+    seed_index = row[0]["traffic_seed"] - traffic_seed(campaign.keys.seed, 0)
+    return planned_trial(campaign.plan, number, seed_index, orjson.loads(row[0][VALUES]))
 
 
 def searched(folder: CampaignFolder) -> SearchKeys:
@@ -291,11 +291,11 @@ def _batch_file(folder: CampaignFolder, batch: int) -> Path:
 
 
 def _no_trial(folder: CampaignFolder, number: int, count: int) -> str:
-    there = f"0 to {count - 1}" if count else "none yet"
-    return f"{folder.path} has no trial {number} (there: {there})"
+    numbers = f"0 to {count - 1}" if count else "none yet"
+    return f"{folder.path} has no trial {number} (there: {numbers})"
 
 
-def _column(values: Sequence[Any], each: Range) -> pa.Array:
-    if each.choices is None:
-        return pa.array(values, pa.int64() if each.whole else pa.float64())
-    return value_column(values, each.choices)
+def _column(values: Sequence[Any], span: Range) -> pa.Array:
+    if span.choices is None:
+        return pa.array(values, pa.int64() if span.whole else pa.float64())
+    return value_column(values, span.choices)

@@ -43,23 +43,23 @@ def check_worker(work: Work) -> None:
         )
     if changed := changed_plugins(work.plugins, "the campaign was planned"):
         raise ModsimError(f"the worker on {host} has other plug-ins than the plan: {'; '.join(changed)}")
-    found = versions() | {name: _version(name) for name in wanted if name not in versions()}
-    if differing := [f"{name} {found[name]} instead of {each}" for name, each in wanted.items() if found[name] != each]:
+    actual = versions() | {name: _version(name) for name in wanted if name not in versions()}
+    if differing := [f"{name} {actual[name]} instead of {pin}" for name, pin in wanted.items() if actual[name] != pin]:
         raise ModsimError(
             f"the worker on {host} has {', '.join(differing)}: a campaign needs the same versions everywhere"
         )
 
 
 def _of_trackers(facts: dict[str, Any]) -> dict[str, str]:
-    found: dict[str, str] = {}
+    packages: dict[str, str] = {}
     for condition in facts["conditions"]:
         for tracker in condition["trackers"].values():
             package, _, number = tracker["package"].rpartition(" ")
             # Files of programs are checked by their checksums, as all files are.
-            found |= {name: each for name, each in tracker["versions"].items() if not each.startswith(CHECKSUM)}
+            packages |= {name: value for name, value in tracker["versions"].items() if not value.startswith(CHECKSUM)}
             if number[:1].isdigit():  # else a plug-in of no package
-                found[package] = number
-    return found
+                packages[package] = number
+    return packages
 
 
 def _version(package: str) -> str:

@@ -166,8 +166,8 @@ class CampaignWorker:
             time.sleep(_STOP_S)
         if self._ready:
             return ProcessDiedError(Death.of(self._run, code))
-        said = f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
-        return ModsimError(f"a worker process could not start: {said}, see above")
+        ending = f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+        return ModsimError(f"a worker process could not start: {ending}, see above")
 
 
 class ProcessPool:

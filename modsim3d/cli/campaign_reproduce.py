@@ -98,24 +98,24 @@ def _print_outcome(campaign: CampaignFolder, again: ReproducedRun, film: MomentF
 
 def _sentences(again: ReproducedRun) -> list[str]:
     """Sentences on the outcome of the run."""
-    found = []
+    lines = []
     if again.error is not None:
         crashed = again.before is not None and again.before["error"] is not None
         same = crashed and again.before is not None and again.before["error"] == again.error
-        told = "with the error that the campaign has" if same else "with another error than in the campaign"
-        found.append(f"The run crashed again, {told}." if crashed else "The run crashed.")
+        note = "with the error that the campaign has" if same else "with another error than in the campaign"
+        lines.append(f"The run crashed again, {note}." if crashed else "The run crashed.")
     elif again.before is None:
-        found.append("The campaign has not done this run, so there is nothing to compare.")
+        lines.append("The campaign has not done this run, so there is nothing to compare.")
     elif again.before["error"] is not None:
-        found.append(f"The run crashed in the campaign ({again.before['error']}), and did not now.")
+        lines.append(f"The run crashed in the campaign ({again.before['error']}), and did not now.")
     elif again.differing:
-        found.append(f"{len(again.differing)} columns are not as in the campaign: {', '.join(again.differing[:5])}.")
+        lines.append(f"{len(again.differing)} columns are not as in the campaign: {', '.join(again.differing[:5])}.")
     else:
-        found.append("Every column is as in the campaign.")
+        lines.append("Every column is as in the campaign.")
     if again.versions:
-        told = ", ".join(f"{name} {then or 'none'} → {now or 'none'}" for name, (then, now) in again.versions.items())
-        found.append(f"The campaign was made with other versions: {told}.")
-    return found
+        note = ", ".join(f"{name} {then or 'none'} → {now or 'none'}" for name, (then, now) in again.versions.items())
+        lines.append(f"The campaign was made with other versions: {note}.")
+    return lines
 
 
 def _score_rows(campaign: CampaignFolder, again: ReproducedRun) -> list[tuple[str, ...]]:
@@ -124,15 +124,15 @@ def _score_rows(campaign: CampaignFolder, again: ReproducedRun) -> list[tuple[st
     from modsim3d.tracking.score_text import COLUMNS
 
     row, before = again.row or {}, again.before or {}
-    known = {key: (name, decimals) for name, key, decimals in COLUMNS}
+    forms = {key: (name, decimals) for name, key, decimals in COLUMNS}
     keys = dict.fromkeys(
-        [*(column for each in campaign.keys.require for column in columns_of(campaign.plan, each)), *known]
+        [*(column for demand in campaign.keys.require for column in columns_of(campaign.plan, demand)), *forms]
     )
     rows = [
-        (known.get(key, (key, 3))[0], *(number(each.get(key), known.get(key, (key, 3))[1]) for each in (before, row)))
+        (forms.get(key, (key, 3))[0], *(number(side.get(key), forms.get(key, (key, 3))[1]) for side in (before, row)))
         for key in keys
     ]
-    return [*rows, ("went wrong at, s", *(number(each.get("worst_s"), 2) for each in (before, row)))]
+    return [*rows, ("went wrong at, s", *(number(side.get("worst_s"), 2) for side in (before, row)))]
 
 
 def _score_options(keys: ScoreKeys) -> str:

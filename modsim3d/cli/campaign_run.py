@@ -32,8 +32,8 @@ MAX_SHARDS = 100_000
 
 
 def _shard(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
+    match = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    part, parts = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= part <= parts <= MAX_SHARDS:
         raise ModsimError(f"--shard: needs K/N with K from 1 to N and N at most {MAX_SHARDS:,} (got '{text[:40]}')")
     return part, parts
@@ -96,28 +96,28 @@ def campaign_run_command(
     if shard is not None and cluster is not None:
         raise ModsimError("--shard is for jobs without a scheduler: leave out --cluster, or --shard")
     engine = engine_of(workers, **(cluster or {}))
-    found = read(campaign)
-    if shard is not None and found.file.keys.search is not None:
+    setup = read(campaign)
+    if shard is not None and setup.file.keys.search is not None:
         raise ModsimError("--shard: what a search runs next depends on all that it has run: leave --shard out")
-    folder = out if out is not None else Path("runs") / found.file.path.stem
-    warnings = introduced(found)
+    folder = out if out is not None else Path("runs") / setup.file.path.stem
+    warnings = introduced(setup)
     kept = f"; runs that are done are kept in {folder}: the same command goes on"
-    bar = campaign_progress(folder, found.file.keys.stop == "once")
+    bar = campaign_progress(folder, setup.file.keys.stop == "once")
     with timed("runs"), shared.interruptible(kept), shared.stoppable(), bar as advance:
-        if found.file.keys.search is None:
-            result = run_plan(found, folder, engine, shard=shard, cache=cache, progress=advance)
+        if setup.file.keys.search is None:
+            result = run_plan(setup, folder, engine, shard=shard, cache=cache, progress=advance)
         else:
             from modsim3d.campaign.search import run_search
 
-            searched = run_search(found, folder, engine, cache=cache, progress=advance)
-    if found.file.keys.search is not None:
+            searched = run_search(setup, folder, engine, cache=cache, progress=advance)
+    if setup.file.keys.search is not None:
         _print_search(searched)
-        say_json({**_json(found, folder, warnings), "finished": True, "trials": len(searched.table)})
+        say_json({**_json(setup, folder, warnings), "finished": True, "trials": len(searched.table)})
         return
     if result is None:
         gather = f"modsim3d campaign run {shlex.quote(campaign)} --out {shlex.quote(str(folder))}"
         say(f"part {shard[0]} of {shard[1]} is done; gather all with: {gather}")
-        say_json(_json(found, folder, warnings))
+        say_json(_json(setup, folder, warnings))
         return
     _print_result(result)
     if killed := killed_sentence(result.folder):
@@ -125,7 +125,7 @@ def campaign_run_command(
         warnings.append(killed)
     for text in (same := same_detections(result.folder.plan, result.table)):
         warn(text)
-    say_json(_json(found, folder, [*warnings, *same]) | _result_json(result))
+    say_json(_json(setup, folder, [*warnings, *same]) | _result_json(result))
     if status := exit_status(result.verdicts):
         raise typer.Exit(status)
 
@@ -136,9 +136,9 @@ def read(campaign: str) -> CheckedCampaign:
     from modsim3d.campaign.work.checking import checked
 
     with timed("reading and checking the campaign"):
-        found = checked(read_campaign(campaign))
-    tell_files([found.file.path])
-    return found
+        setup = checked(read_campaign(campaign))
+    tell_files([setup.file.path])
+    return setup
 
 
 def exit_status(verdicts: tuple[Verdict, ...]) -> int:
@@ -193,8 +193,8 @@ def _print_search(result: SearchResult) -> None:
     for finding in result.findings:
         shared.print_line(console, "")
         values = ", ".join(f"{key} {value_text(value)}" for key, value in finding.values.items())
-        said = finding.error if finding.value is None else three_digits(finding.value)
-        print_prose(console, f"trial {finding.number}: {said}; traffic seed {finding.traffic_seed}, {values}")
+        outcome = finding.error if finding.value is None else three_digits(finding.value)
+        print_prose(console, f"trial {finding.number}: {outcome}; traffic seed {finding.traffic_seed}, {values}")
         shared.print_line(console, f"  {finding.again}", "dim")
     shared.print_path(console, "search", result.folder.path)
     shared.print_line(console, f"  modsim3d campaign report {shlex.quote(str(result.folder.path))}", "dim")
@@ -251,19 +251,19 @@ def campaign_plan_command(
 
     Example: modsim3d campaign plan example --expect hota=0.6:0.05
     """
-    found = read(campaign)
-    warnings = introduced(found)
-    say_json({**_json(found, None, warnings, "plan"), **_told_plan(found, expect or [], like)})
+    setup = read(campaign)
+    warnings = introduced(setup)
+    say_json({**_json(setup, None, warnings, "plan"), **_told_plan(setup, expect or [], like)})
 
 
 def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | None) -> dict[str, Any]:
     """Print how many frames and seeds there will be and are needed; the same for JSON. Raises as `plan_campaign`."""
     from modsim3d.campaign.campaign import plan_campaign
 
-    found, console = plan_campaign(campaign, expect=expect, like=like), open_console()
-    shared.print_line(console, f"{found.runs:,} runs of {found.frames:,} frames together")
-    if found.needed:
-        rows = [_needed_row(campaign.plan, each) for each in found.needed]
+    plan, console = plan_campaign(campaign, expect=expect, like=like), open_console()
+    shared.print_line(console, f"{plan.runs:,} runs of {plan.frames:,} frames together")
+    if plan.needed:
+        rows = [_needed_row(campaign.plan, need) for need in plan.needed]
         header = ("requirement", "tracker", "condition", "seeds needed", "why")
         print_table(console, "traffic seeds needed", rows, header=header, right=(3,))
         print_prose(
@@ -272,14 +272,14 @@ def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | No
             "campaigns, if the means of seeds are normal values with this mean and spread, and no run is lost.",
             "dim",
         )
-    return {"frames": found.frames, "needed": [asdict(each) for each in found.needed]}
+    return {"frames": plan.frames, "needed": [asdict(need) for need in plan.needed]}
 
 
-def _needed_row(plan: Plan, each: NeededSeeds) -> tuple[str, ...]:
+def _needed_row(plan: Plan, need: NeededSeeds) -> tuple[str, ...]:
     from modsim3d.campaign.plan import values_text
     from modsim3d.campaign.verdicts.wording import with_name
     from modsim3d.core.text import UNKNOWN
 
-    values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values)
-    seeds = UNKNOWN if each.seeds is None else f"{each.seeds:,}"
-    return (with_name(each.text), each.tracker or "all", values, seeds, each.why)
+    values = "all" if need.condition is None else values_text(plan.conditions[need.condition].values)
+    seeds = UNKNOWN if need.seeds is None else f"{need.seeds:,}"
+    return (with_name(need.text), need.tracker or "all", values, seeds, need.why)

@@ -32,59 +32,59 @@ def campaign_status_command(campaign: shared.CampaignArgument) -> None:
 
     with timed("reading the rows"):
         opened = opened_campaign(campaign)
-        found = present_state(opened)
-    _print_state(opened, found, opened.keys.stop == "once")
+        state = present_state(opened)
+    _print_state(opened, state, opened.keys.stop == "once")
     say_json(
         {
             "format": 1,
             "command": "campaign status",
             "folder": campaign,
-            "runs": found.total,
-            **{name: getattr(found, name) for name in ("done", "crashed", "finished", "worked_on_by")},
-            "left_s": found.left_s,
-            "last_s": found.last_s,
-            "verdicts": [asdict(verdict) for verdict in found.verdicts],
+            "runs": state.total,
+            **{name: getattr(state, name) for name in ("done", "crashed", "finished", "worked_on_by")},
+            "left_s": state.left_s,
+            "last_s": state.last_s,
+            "verdicts": [asdict(verdict) for verdict in state.verdicts],
         }
     )
 
 
-def _print_state(opened: CampaignFolder, found: CampaignStatus, once: bool) -> None:
+def _print_state(opened: CampaignFolder, state: CampaignStatus, once: bool) -> None:
     from modsim3d.campaign.folder import killed_sentence
     from modsim3d.campaign.report.campaign_page import crash_sections, requirement_blocks
     from modsim3d.cli.campaign_text import MAX_ROWS, present_text
 
     console = open_console()
     shared.print_line(
-        console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold"
+        console, f"{state.done:,} of {state.total:,} runs are done, {state.crashed:,} of them crashed", "bold"
     )
-    for line in _how(found):
+    for line in _how(state):
         shared.print_line(console, line)
-    if found.finished:
-        print_blocks(console, requirement_blocks(opened.plan, found.verdicts))
-    elif found.verdicts:
+    if state.finished:
+        print_blocks(console, requirement_blocks(opened.plan, state.verdicts))
+    elif state.verdicts:
         shared.print_line(console, "")
         shared.print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
-        for verdict in found.verdicts[:MAX_ROWS]:
+        for verdict in state.verdicts[:MAX_ROWS]:
             shared.print_line(console, f"  {present_text(verdict, once)}")
-    print_blocks(console, crash_sections(opened, found.table))
+    print_blocks(console, crash_sections(opened, state.table))
     if killed := killed_sentence(opened):
         print_prose(console, killed)
 
 
-def _how(found: CampaignStatus) -> list[str]:
+def _how(state: CampaignStatus) -> list[str]:
     from modsim3d.cli.campaign_text import time_left_text
 
-    if found.finished:
-        early = found.total - found.done
+    if state.finished:
+        early = state.total - state.done
         return ["finished" + (f": all was decided {early:,} runs before the end of the plan" if early else "")]
     lines = []
-    if found.last_s is not None:
-        lines.append(f"last rows written {found.last_s:,.0f} s ago")
-    if found.worked_on_by is None and found.done == found.total:
+    if state.last_s is not None:
+        lines.append(f"last rows written {state.last_s:,.0f} s ago")
+    if state.worked_on_by is None and state.done == state.total:
         return [*lines, "nobody holds its folder: the same command, without --shard, writes results and verdicts"]
-    if found.worked_on_by is None:
+    if state.worked_on_by is None:
         return [*lines, "nobody holds its folder: the same command goes on (parts of a job array are not seen here)"]
-    return [*lines, f"worked on by {found.worked_on_by}, {time_left_text(found.left_s)}"]
+    return [*lines, f"worked on by {state.worked_on_by}, {time_left_text(state.left_s)}"]
 
 
 # ---- The command `modsim3d campaign table` ----

@@ -33,7 +33,7 @@ def plan_rows(campaign: CheckedCampaign) -> list[tuple[str, str]]:
     rows += [("varied" if place == 0 else "", text) for place, text in enumerate(varied)]
     if keys.settings:
         rows.append(("set", ", ".join(f"{key} {shown(value)}" for key, value in keys.settings.items())))
-    rows.append(("trackers", listed([each.label for each in keys.trackers])))
+    rows.append(("trackers", listed([tracker.label for tracker in keys.trackers])))
     if keys.search is not None:
         return [*rows, ("search", _search(keys))]
     rows.append(("seeds", _seeds(keys)))
@@ -44,15 +44,15 @@ def plan_rows(campaign: CheckedCampaign) -> list[tuple[str, str]]:
         counted(len(keys.trackers), "tracker"),
     ]
     rows.append(("runs", f"{'at most ' * (keys.stop == 'sequential')}{len(plan):,} = {' × '.join(product)}"))
-    required = [requirement_in_words(each) for each in keys.require] or ["nothing"]
+    required = [requirement_in_words(requirement) for requirement in keys.require] or ["nothing"]
     return [*rows, *(("required" if place == 0 else "", text) for place, text in enumerate(required))]
 
 
 def _scenes(campaign: CheckedCampaign) -> str:
     names = {Path(condition.scene).stem: facts for condition, facts in _pairs(campaign)}
-    said = [name if facts.traffic_has_seed else f"{name} (this traffic only)" for name, facts in names.items()]
+    texts = [name if facts.traffic_has_seed else f"{name} (this traffic only)" for name, facts in names.items()]
     steps = campaign.file.keys.steps
-    return listed(said) + ("" if steps is None else f", {counted(steps, 'step')}")
+    return listed(texts) + ("" if steps is None else f", {counted(steps, 'step')}")
 
 
 def _pairs(campaign: CheckedCampaign) -> Iterable[tuple[Any, Any]]:
@@ -61,7 +61,7 @@ def _pairs(campaign: CheckedCampaign) -> Iterable[tuple[Any, Any]]:
 
 def traffic_warnings(campaign: CheckedCampaign) -> list[str]:
     """Scenes whose results are of one traffic only."""
-    fixed = dict.fromkeys(Path(each.scene).stem for each, facts in _pairs(campaign) if not facts.traffic_has_seed)
+    fixed = dict.fromkeys(Path(cell.scene).stem for cell, facts in _pairs(campaign) if not facts.traffic_has_seed)
     if not fixed:
         return []
     traffic = "the traffic of each" if len(fixed) > 1 else "the traffic"
@@ -76,9 +76,9 @@ def program_warnings(campaign: CheckedCampaign) -> list[str]:
     from modsim3d.tracking.trackers.command import RUNS_OTHERS
 
     return [
-        f"trackers[{place}]: of {each.command[0]} only its own file is checked: name the tracker's in files"
-        for place, each in enumerate(campaign.plan.keys.trackers)
-        if each.command is not None and not each.files and RUNS_OTHERS.fullmatch(Path(each.command[0]).name)
+        f"trackers[{place}]: of {tracker.command[0]} only its own file is checked: name the tracker's in files"
+        for place, tracker in enumerate(campaign.plan.keys.trackers)
+        if tracker.command is not None and not tracker.files and RUNS_OTHERS.fullmatch(Path(tracker.command[0]).name)
     ]
 
 
@@ -86,7 +86,7 @@ def _factor(factor: Factor) -> list[str]:
     ranges = factor.latin_hypercube or factor.uniform
     if ranges is not None:
         how = "drawn for each traffic seed" + (", Latin hypercube" if factor.latin_hypercube else "")
-        return [f"{key}: {_range(each)}, {how}" for key, each in ranges.items()]
+        return [f"{key}: {_range(span)}, {how}" for key, span in ranges.items()]
     if factor.conditions is not None:
         keys = dict.fromkeys(key for values in factor.conditions for key in values)
         return [f"{counted(len(factor.conditions), 'condition')} of {listed(list(keys))}"]
@@ -110,8 +110,8 @@ def _seeds(keys: CampaignKeys) -> str:
     from modsim3d.campaign.plan import traffic_seed
 
     first, last = traffic_seed(keys.seed, 0), traffic_seed(keys.seed, keys.seeds.traffic - 1)
-    said = f"traffic {first}" + (f" to {last}" if last > first else "")
-    return said + (f", and {keys.seeds.detector} of the detector for each" if keys.seeds.detector > 1 else "")
+    text = f"traffic {first}" + (f" to {last}" if last > first else "")
+    return text + (f", and {keys.seeds.detector} of the detector for each" if keys.seeds.detector > 1 else "")
 
 
 def _search(keys: CampaignKeys) -> str:
@@ -120,7 +120,7 @@ def _search(keys: CampaignKeys) -> str:
     search = keys.search
     assert search is not None
     goal = f"lowest {score_name(search.minimise)}" if search.minimise else f"highest {score_name(str(search.maximise))}"
-    over = "; ".join(f"{key} {_range(each)}" for key, each in search.over.items())
+    over = "; ".join(f"{key} {_range(span)}" for key, span in search.over.items())
     return f"the {goal} in {search.budget:,} trials, over {over}"
 
 
@@ -240,10 +240,10 @@ def _display(progress: Progress, verdicts: Sequence[Verdict], once: bool) -> Gro
 
 def present_text(verdict: Verdict, once: bool) -> str:
     """State of a requirement in words, by the verdict on what is done; with `once`, there is none before the end."""
-    known = "nothing yet"
+    state = "nothing yet"
     if verdict.estimate is not None:
-        known = three_digits(verdict.estimate)
+        state = three_digits(verdict.estimate)
         if verdict.low is not None or verdict.high is not None:
-            known += f" [{three_digits(verdict.low)}, {three_digits(verdict.high)}]"
-    known += f", {counted(verdict.seeds, 'seed')}"
-    return f"{about_text(verdict)}: " + (f"so far {known}" if once else f"{verdict.outcome}, {known}")
+            state += f" [{three_digits(verdict.low)}, {three_digits(verdict.high)}]"
+    state += f", {counted(verdict.seeds, 'seed')}"
+    return f"{about_text(verdict)}: " + (f"so far {state}" if once else f"{verdict.outcome}, {state}")

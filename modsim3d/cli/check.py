@@ -59,16 +59,16 @@ def check_scene_command(
         loaded = load_scene(**shared.arguments(context, load_scene, settings=read_settings(settings or ())))
     tell_files(loaded.copy.read)
     with timed("looking at it"):
-        found = check_scene(loaded, out, overwrite=overwrite)
-    shared.print_line(open_console(), f"{loaded.path}: {_outcome(found.warnings)}")
-    print_table(open_console(), "", _rows(loaded, [*map(str, found.cameras)], [*map(str, found.vessel_types)]))
-    for warning in found.warnings:
+        report = check_scene(loaded, out, overwrite=overwrite)
+    shared.print_line(open_console(), f"{loaded.path}: {_outcome(report.warnings)}")
+    print_table(open_console(), "", _rows(loaded, [*map(str, report.cameras)], [*map(str, report.vessel_types)]))
+    for warning in report.warnings:
         warn(warning)
-    if found.map is not None:
-        shared.print_path(open_console(), "map", found.map)
-    facts = {"camera_facts": [*map(asdict, found.cameras)], "vessel_types": [*map(asdict, found.vessel_types)]}
-    states = {"states": _state_facts(loaded.detector), "map": found.map}
-    say_json({**_check_json(loaded, found.warnings), **facts, **states})
+    if report.map is not None:
+        shared.print_path(open_console(), "map", report.map)
+    facts = {"camera_facts": [*map(asdict, report.cameras)], "vessel_types": [*map(asdict, report.vessel_types)]}
+    states = {"states": _state_facts(loaded.detector), "map": report.map}
+    say_json({**_check_json(loaded, report.warnings), **facts, **states})
 
 
 def _kind_of_file(name: str) -> str:
@@ -88,11 +88,11 @@ def _check_campaign(path: Path) -> None:
     from modsim3d.cli.campaign_run import introduced, read
     from modsim3d.cli.campaign_text import requirement_in_words
 
-    found = read(str(path))
-    warnings, keys = introduced(found), found.file.keys
-    said = {"format": 1, "command": "check scene", "path": path, "runs": len(found.plan), "warnings": warnings}
+    setup = read(str(path))
+    warnings, keys = introduced(setup), setup.file.keys
+    facts = {"format": 1, "command": "check scene", "path": path, "runs": len(setup.plan), "warnings": warnings}
     required = [*map(requirement_in_words, keys.require)]
-    say_json({**said, "trackers": [each.label for each in keys.trackers], "required": required})
+    say_json({**facts, "trackers": [tracker.label for tracker in keys.trackers], "required": required})
 
 
 def _check_detector(path: Path) -> None:
@@ -105,8 +105,8 @@ def _check_detector(path: Path) -> None:
     print_table(open_console(), "", _state_rows(detector))
     for warning in warnings:
         warn(warning)
-    said = {"format": 1, "command": "check scene", "path": path, "labels": detector.labels}
-    say_json({**said, "states": _state_facts(detector), "warnings": warnings})
+    facts = {"format": 1, "command": "check scene", "path": path, "labels": detector.labels}
+    say_json({**facts, "states": _state_facts(detector), "warnings": warnings})
 
 
 def _outcome(warnings: list[str]) -> str:
@@ -115,12 +115,12 @@ def _outcome(warnings: list[str]) -> str:
 
 def _rows(scene: Scene, cameras: list[str], types: list[str]) -> list[tuple[str, str]]:
     drawn = f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
-    obstacles = [("obstacles", f"{len(scene.obstacles)}: {listed([each.name for each in scene.obstacles])}")]
+    obstacles = [("obstacles", f"{len(scene.obstacles)}: {listed([obstacle.name for obstacle in scene.obstacles])}")]
     return [
         ("vessels", f"{len(scene.vessels)}{drawn}"),
-        *(("", each) for each in types),
+        *(("", text) for text in types),
         ("cameras", f"{len(scene.cameras)}{', at the first step:' if cameras else ''}"),
-        *(("", each) for each in cameras),
+        *(("", text) for text in cameras),
         *(obstacles if scene.obstacles else ()),
         ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
@@ -147,9 +147,9 @@ def _state_rows(detector: DetectorModel) -> list[tuple[str, str]]:
         unforced = ", while no schedule forces one" if detector.performance.schedule else ""
         named = ", ".join(f"{state} {in_percent(share, 1)}" for state, share in shares.items())
         rows.append(("states", f"in the long run {named}{unforced}"))
-        mean = f", {in_percent(sum(each['share'] * each['miss_rate'] for each in facts), 1)} in the long run"
-    missed = ", ".join(f"{each['name']} {in_percent(each['miss_rate'], 1)}" for each in facts)
-    alarms = ", ".join(f"{each['name']} {each['false_alarms']:.2g}" for each in facts)
+        mean = f", {in_percent(sum(state['share'] * state['miss_rate'] for state in facts), 1)} in the long run"
+    missed = ", ".join(f"{state['name']} {in_percent(state['miss_rate'], 1)}" for state in facts)
+    alarms = ", ".join(f"{state['name']} {state['false_alarms']:.2g}" for state in facts)
     empty = detector.false_positives.numbers.empty_frames
     per = "an image" if empty else "for each vessel detected in an image"
     return [*rows, ("missed", f"{missed}{mean}"), ("false positives", f"{alarms} {per}")]
@@ -212,8 +212,8 @@ def check_run_command(
     print_document(open_console(), verify_report.document(verified))
     shared.print_written(open_console(), paths)
     notes = [f"{name}: {note}" for name, note in verify_report.named_notes(verification)]
-    said = {"conclusion": verify_report.conclusion(verification), "notes": notes}
-    say_json({"command": "check run", **verify_report.report_data(verified), **said, "written": paths})
+    facts = {"conclusion": verify_report.conclusion(verification), "notes": notes}
+    say_json({"command": "check run", **verify_report.report_data(verified), **facts, "written": paths})
     if not verification.obeys:
         raise typer.Exit(1)
 

@@ -233,8 +233,8 @@ def detector_from_figures(report: Path, out: Path, overwrite: bool) -> None:
     for contradiction in made.contradictions:
         warn(contradiction)
     figures = {name: {"report": asked, "simulated": simulated} for name, (asked, simulated) in made.figures.items()}
-    said = {"figures": figures, "assumed": made.assumed, "contradictions": made.contradictions}
-    say_json({"format": 1, "command": "learn", **said, "written": [out]})
+    facts = {"figures": figures, "assumed": made.assumed, "contradictions": made.contradictions}
+    say_json({"format": 1, "command": "learn", **facts, "written": [out]})
 
 
 # ---- What `modsim3d learn --json` says of what was learned ----
@@ -257,10 +257,10 @@ def learn_json(report: LearnReport, written: Sequence[Path], command: str = "lea
         "beta": report.beta,
         **{name: [_figures(figures, report) for figures in group] for name, group in groups.items()},
         "state_conditions": dict(report.state_map.states),
-        "numbers": [number for each in learned.intervals(report.level) for number in _numbers(each)],
+        "numbers": [number for interval in learned.intervals(report.level) for number in _numbers(interval)],
         "lost_average_precision": report.shares
         and {share.kind.value: share.gain_points for share in report.shares.shares},
-        "self_check": report.check and [asdict(each) for each in report.check.comparisons],
+        "self_check": report.check and [asdict(comparison) for comparison in report.check.comparisons],
         "warning": report.warning,
         "remarks": list(report.remarks),
         "left_simple": list(learned.notes),
@@ -323,10 +323,10 @@ def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, 
         for label, old, new in zip(before["labels"], was["confusion"][-1], now["confusion"][-1], strict=True):
             yield name, f"{label} missed", f"{in_percent(old, 1)} → {in_percent(new, 1)}"
         if "false_discovery_rate" in was:
-            of_all = (in_percent(each["false_discovery_rate"], 1) for each in (was, now))
+            of_all = (in_percent(state["false_discovery_rate"], 1) for state in (was, now))
             yield name, "false positives", " → ".join(of_all)
         else:
-            key, rates = "false_positives_per_image", [each["false_positives"].get("rate") for each in (before, after)]
+            key, rates = "false_positives_per_image", [file["false_positives"].get("rate") for file in (before, after)]
             old, new = (state.get(key, rate) for state, rate in zip((was, now), rates, strict=True))
             yield name, "false positives in an image", f"{old:.3g} → {new:.3g}"
         old, new = (with_covariance(state["box_error"])["covariance"][2][2] ** 0.5 for state in (was, now))

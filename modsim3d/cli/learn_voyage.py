@@ -152,8 +152,8 @@ def learn_voyage_command(
         with timed("files"):
             write_files(learned_files(result, out) | files)
     learn.show_result(result, out.name, [*written, *files])
-    found = learn.learn_json(result.report, [*written, *files], "learn-voyage")
-    say_json(found | {"voyage": voyage_json(result.voyage_report)})
+    content = learn.learn_json(result.report, [*written, *files], "learn-voyage")
+    say_json(content | {"voyage": voyage_json(result.voyage_report)})
 
 
 def _check_apart(written: Sequence[Path], scene_files: Sequence[Path]) -> None:

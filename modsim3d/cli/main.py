@@ -106,9 +106,9 @@ def refuse_old_names(context: Any, arguments: Sequence[str]) -> None:
     first = arguments[0] if arguments else ""
     if subcommands is not None and first in subcommands:
         return  # which looks at the rest
-    known = {name for parameter in command.params for name in parameter.opts}
+    names = {name for parameter in command.params for name in parameter.opts}
     options = [word.partition("=")[0] for word in takewhile(lambda word: word != "--", arguments) if word[:2] == "--"]
-    asked = [f"{path[0]} {name}" for name in options if name not in known] if path else []
+    asked = [f"{path[0]} {name}" for name in options if name not in names] if path else []
     if subcommands is not None and not path:
         asked.append(first)
     elif subcommands is not None and first[:1] not in ("", "-") and not get_close_matches(first, subcommands):
@@ -260,7 +260,7 @@ def _with_output_options(name: str, command: Callable[..., None]) -> Callable[..
         command(**{key: value for key, value in given.items() if key not in options})
 
     own = signature(command, eval_str=True)
-    added = [Parameter(key, Parameter.KEYWORD_ONLY, default=False, annotation=each) for key, each in options.items()]
+    added = [Parameter(key, Parameter.KEYWORD_ONLY, default=False, annotation=hint) for key, hint in options.items()]
     call.__signature__ = own.replace(parameters=[*own.parameters.values(), *added])  # type: ignore[attr-defined]
     return call
 

@@ -131,8 +131,8 @@ def camera_rows(result: RunResult) -> list[tuple[str, ...]]:
 
 def camera_row(name: str, counts: Counts) -> tuple[str, ...]:
     """The counts of a camera, under `CAMERA_HEADER`."""
-    found = counts.detected, counts.false_positives, counts.mislabelled, counts.below_half_iou, counts.off_vessel
-    return (name, *(f"{each:,}" for each in (counts.frames, counts.annotated, *found)))
+    outcomes = counts.detected, counts.false_positives, counts.mislabelled, counts.below_half_iou, counts.off_vessel
+    return (name, *(f"{count:,}" for count in (counts.frames, counts.annotated, *outcomes)))
 
 
 def _time_rows(result: RunResult) -> list[Row]:

@@ -167,8 +167,8 @@ def typed_command(context: typer.Context) -> str:
     """The command with its arguments and the options that were given under their long names, in the order of its help.
     Options that only say where files go or what is printed are left out."""
     words = ["modsim3d", *_command_words(context)]
-    parameters = [each for each in context.command.params if each.name not in LEFT_OUT]
-    for parameter in sorted(parameters, key=lambda each: each.param_type_name != "argument"):
+    parameters = [parameter for parameter in context.command.params if parameter.name not in LEFT_OUT]
+    for parameter in sorted(parameters, key=lambda parameter: parameter.param_type_name != "argument"):
         source = context.get_parameter_source(str(parameter.name))
         if source is not None and source.name == "COMMANDLINE":
             words += _words(parameter, context.params[str(parameter.name)])
@@ -189,8 +189,8 @@ def _words(parameter: Any, value: Any) -> Iterator[str]:
     if getattr(parameter, "is_flag", False):
         yield name
         return
-    for each in values:
-        yield from (name, _text(each))
+    for entry in values:
+        yield from (name, _text(entry))
 
 
 def _text(value: Any) -> str:

@@ -47,7 +47,7 @@ def print_table(
         print_prose(console, title, "bold")
     table = [[visible(cell) for cell in row] for row in ([header, *rows] if header else rows)]
     whole: Callable[[str], str] = str
-    for names, broken in [(whole, whole), *((_in_two, each) for each in (whole, *breaks) if breaks)]:
+    for names, broken in [(whole, whole), *((_in_two, breaker) for breaker in (whole, *breaks) if breaks)]:
         lines = [[[row[0]], *(broken(cell).split("\n") for cell in row[1:])] for row in table]
         if header:
             lines[0] = [names(cell).split("\n") for cell in table[0]]

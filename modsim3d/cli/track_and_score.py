@@ -97,7 +97,7 @@ def _track_arguments(tracker: str | None, command: str | None, timeout: float | 
 
 def track_json(result: TrackResult, scene: str, written: list[Path]) -> dict[str, Any]:
     """The result as `--json` prints it."""
-    counts = {name: vars(each) for name, each in result.camera_counts.items()}
+    counts = {name: vars(numbers) for name, numbers in result.camera_counts.items()}
     return {
         "format": 1,
         "command": "track",
@@ -119,8 +119,8 @@ def _print_result(result: TrackResult, run: str, written: list[Path]) -> None:
     rows = [_cells(name, counts) for name, counts in (result.camera_counts or {"all": result.counts}).items()]
     print_table(console, "tracks", rows, header=HEADER, right=range(1, len(HEADER)))
     if result.frame_ms:
-        said = ", ".join(f"{name} {value:.3g}" for name, value in result.frame_ms.items())
-        shared.print_line(console, f"ms a frame: {said}", "dim")
+        times = ", ".join(f"{name} {value:.3g}" for name, value in result.frame_ms.items())
+        shared.print_line(console, f"ms a frame: {times}", "dim")
     shared.print_written(console, written)
     shared.print_line(console, f"\nnext\n  modsim3d score {run} {shlex.quote(str(result.folder))}")
 

@@ -29,7 +29,7 @@ class Columns:
     def take(self, rows: Indices | Mask | slice) -> Self:
         """Some of the rows: by mask, shape (n,), by row numbers in any order, shape (m,), or by slice."""
         columns = self._fields().items()
-        return type(self)(**{name: each[rows] if isinstance(each, np.ndarray) else each for name, each in columns})
+        return type(self)(**{name: field[rows] if isinstance(field, np.ndarray) else field for name, field in columns})
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:

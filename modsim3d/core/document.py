@@ -201,8 +201,8 @@ def blocks_at(blocks: Iterable[Block], where: Where) -> list[Block]:
             block = replace(block, blocks=blocks_at(block.blocks, where))
         if where not in block.where or not _content(block):
             continue
-        headings = [each for each in kept[-1:] if isinstance(each, Heading)]
-        if isinstance(block, Heading) and (not kept or any(each.level <= block.level for each in headings)):
+        headings = [heading for heading in kept[-1:] if isinstance(heading, Heading)]
+        if isinstance(block, Heading) and (not kept or any(heading.level <= block.level for heading in headings)):
             continue
         kept.append(block)
     return kept[::-1]

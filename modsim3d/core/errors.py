@@ -94,10 +94,10 @@ def with_arguments(text: str, parameters: Collection[str] = ()) -> str:
         return text
     phrases, names = _table()
 
-    def argument(found: re.Match[str]) -> str:
-        candidates = names.get(found[1]) or [found[1].replace("-", "_")]
-        name = next((each for each in candidates if each in parameters), candidates[0])
-        return name if found[2] is None else f"{name}="
+    def argument(match: re.Match[str]) -> str:
+        candidates = names.get(match[1]) or [match[1].replace("-", "_")]
+        name = next((candidate for candidate in candidates if candidate in parameters), candidates[0])
+        return name if match[2] is None else f"{name}="
 
     lines = text.split("\n")
     for place, line in enumerate(lines):

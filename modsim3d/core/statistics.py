@@ -17,7 +17,7 @@ def half_widths(mean: ArrayLike, deviation: ArrayLike, count: ArrayLike, alpha: 
     that are all the same say nothing of how far the next one may be off: an interval of no width would claim that none
     ever differs. `deviation` is the standard deviation with n − 1; all shapes broadcast. `alpha` is the probability of
     error of each bound; exact for normal values, an approximation for others."""
-    mean, deviation, count = (np.asarray(each, dtype=np.float64) for each in (mean, deviation, count))
+    mean, deviation, count = (np.asarray(numbers, dtype=np.float64) for numbers in (mean, deviation, count))
     differ = (count > 1) & (deviation > _SAME * np.maximum(1.0, np.abs(mean)))
     half = special.stdtrit(np.maximum(count - 1, 1), 1 - alpha) * deviation / np.sqrt(np.maximum(count, 1))
     return np.where(differ, half, np.nan)

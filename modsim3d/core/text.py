@@ -64,8 +64,8 @@ def with_minus(cell: str) -> str:
 
 def is_numeric(column: Sequence[str]) -> bool:
     """Whether at least half of the known cells of a column are numbers."""
-    known = [cell for cell in column if cell not in (UNKNOWN, "")]
-    return bool(known) and 2 * sum(map(is_number, known)) >= len(known)
+    cells = [cell for cell in column if cell not in (UNKNOWN, "")]
+    return bool(cells) and 2 * sum(map(is_number, cells)) >= len(cells)
 
 
 def number(value: float | None, decimals: int = 3) -> str:
@@ -121,8 +121,8 @@ def three_digits_with_interval(value: float | None, low: float | None, high: flo
         return three_digits(value)
     if low is None or high is None or not (isfinite(low) and isfinite(high)):
         return _with_decimals(value, _decimals(value))
-    said, *ends = (_with_decimals(each, _decimals(value)) for each in (value, low, high))
-    return f"{said} [{ends[0]}, {ends[1]}]"
+    text, *ends = (_with_decimals(figure, _decimals(value)) for figure in (value, low, high))
+    return f"{text} [{ends[0]}, {ends[1]}]"
 
 
 def _decimals(value: float) -> int:

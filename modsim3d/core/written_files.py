@@ -49,4 +49,4 @@ class OutputFiles:
             if kind == "html":
                 page = escape(content.decode(), quote=True)
                 shown = f'<iframe style="width:100%;height:40em;border:0" srcdoc="{page}"></iframe>'
-        return shown + "".join(f"<p>{escape(str(each))}</p>" for each in (*self.paths, *self.notes))
+        return shown + "".join(f"<p>{escape(str(line))}</p>" for line in (*self.paths, *self.notes))

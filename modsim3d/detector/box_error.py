@@ -194,9 +194,9 @@ class BoxErrorSource:
             truth = true.boxes_px[left]
             candidates = self.errors_px(true.state[left], sizes(truth), latent)
             accepted = inside_image(move(truth[:, None], candidates), true.frames.image_size_px)
-            found, first = accepted.any(axis=1), accepted.argmax(axis=1)
-            errors[pending[found]] = candidates[found, first[found]]
-            pending, drawn, draws = pending[~found], drawn + draws, 4 * draws
+            success, first = accepted.any(axis=1), accepted.argmax(axis=1)
+            errors[pending[success]] = candidates[success, first[success]]
+            pending, drawn, draws = pending[~success], drawn + draws, 4 * draws
         return errors
 
     def _redrawn_normals(

@@ -39,7 +39,7 @@ class _RawBoxes(Columns):
     uniforms: Array  # for confidence and order, shape (m, 2)
 
 
-_KEPT_COLUMNS = tuple(each.name for each in fields(_RawBoxes) if each.name in Detections.__dataclass_fields__)
+_KEPT_COLUMNS = tuple(column.name for column in fields(_RawBoxes) if column.name in Detections.__dataclass_fields__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +199,8 @@ class Detector:
         vessels = draws.select(targets, passed)
         uniforms = self._noise.on_vessel(law.lifetime_s, frames, vessels)
         true_px = at_least_a_pixel(vessels.boxes_px, frames.image_size_px)
-        boxes, there = law.boxes_px(true_px, frames.image_size_px, uniforms)
-        rows = np.flatnonzero(there)
+        boxes, present = law.boxes_px(true_px, frames.image_size_px, uniforms)
+        rows = np.flatnonzero(present)
         shown = draws.select(vessels, rows)
         confidence = draws.target_uniforms(self._streams, Purpose.ON_VESSEL_CONFIDENCE, frames, shown)
         labels = self._false_positive_source.labels(states[shown.frame], uniforms[rows, 0] / law.share)
@@ -217,8 +217,8 @@ class Detector:
         if self.model.false_positives.persistent_share:
             drawn.append((records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE, source.draw_persistent(around)))
         return [
-            _false(each.frame, None, kind, each.label, each.boxes_px, each.uniforms(self._streams, purpose, frames))
-            for kind, purpose, each in drawn
+            _false(batch.frame, None, kind, batch.label, batch.boxes_px, batch.uniforms(self._streams, purpose, frames))
+            for kind, purpose, batch in drawn
         ]
 
     def _scored(self, states: Indices, parts: Sequence[_RawBoxes], passed: Mask) -> Detections:

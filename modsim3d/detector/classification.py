@@ -69,9 +69,9 @@ class ConfusionClassifier:
         missed = self.miss_rates(state, targets)
         usual = 1 - _miss_rates(self.distributions)[state, targets.label]
         label = choose(self.distributions[state, targets.label], np.minimum(uniforms * usual, np.nextafter(usual, 0)))
-        found = (scores >= missed) & (missed < 1)
-        level = (scores - missed) / np.where(found, 1 - missed, 1.0)
-        return np.where(found, label, -1), on_grid(np.clip(level, 0, 1 - GRID))
+        hits = (scores >= missed) & (missed < 1)
+        level = (scores - missed) / np.where(hits, 1 - missed, 1.0)
+        return np.where(hits, label, -1), on_grid(np.clip(level, 0, 1 - GRID))
 
 
 _MIN_CHANCE = 1e-300
@@ -138,12 +138,12 @@ class StateSequence:
                 + (f" than {self._interval_s:g}" if self._interval_s else "")
             )
         pieces = [self._states]
-        known = len(self._states)
-        while known <= last:
+        step = len(self._states)
+        while step <= last:
             # Transition k, from step k − 1 to step k, uses row k.
-            uniforms = self._streams.uniforms(Purpose.STATE, *self._owner, first=known, count=_BLOCK)[:, 0]
+            uniforms = self._streams.uniforms(Purpose.STATE, *self._owner, first=step, count=_BLOCK)[:, 0]
             following = np.stack([choose(column, uniforms) for column in self._columns], axis=1)
             states = accumulate(following.tolist(), lambda state, after: after[state], initial=int(pieces[-1][-1]))
             pieces.append(np.array([*states][1:], dtype=np.int16))
-            known += _BLOCK
+            step += _BLOCK
         self._states = np.concatenate(pieces)

@@ -264,9 +264,9 @@ def pair_likelihood(before: Array, low: Array, high: Array, correlation: Array, 
     """Log-likelihood of correlations below 1, shapes (n,), of numbers between bounds; equal bounds are the number."""
     spread = np.sqrt(1 - correlation**2)
     below, above = (part / factor for part in _standard(before, low, high, correlation))
-    known = low == high
-    density = -(np.where(known, below, 0.0) ** 2) / 2 - np.log(spread * factor)
-    return np.where(known, density, np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _MIN_CHANCE)))
+    exact = low == high
+    density = -(np.where(exact, below, 0.0) ** 2) / 2 - np.log(spread * factor)
+    return np.where(exact, density, np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _MIN_CHANCE)))
 
 
 def pair_score(before: Array, low: Array, high: Array, correlation: Array) -> Array:

@@ -72,8 +72,8 @@ class Slope:
     def of(self, targets: Targets) -> Array:
         """Log-odds added for each target, shape (n,); none where the attribute is unknown."""
         values = ATTRIBUTES[self.attribute](targets)
-        known = np.where(np.isnan(values), self.reference, values)
-        return self.log_odds * (log2(known / self.reference) if self.doublings else known - self.reference)
+        levels = np.where(np.isnan(values), self.reference, values)
+        return self.log_odds * (log2(levels / self.reference) if self.doublings else levels - self.reference)
 
 
 @dataclass(frozen=True)

@@ -207,9 +207,9 @@ def _births(streams: Streams, camera: str, layer: str, first: int, count: int) -
     cells, draws = [np.empty(0, dtype=np.int64)], [np.empty((0, _WIDTH))]
     for k in range(int(births.max(initial=0))):
         some = streams.uniforms(Purpose.PERSISTENT, camera, layer, str(k), first=index, count=count)
-        ours = np.flatnonzero(births > k)
-        cells.append(first + ours)
-        draws.append(some[ours])
+        rows = np.flatnonzero(births > k)
+        cells.append(first + rows)
+        draws.append(some[rows])
     order = np.argsort(np.concatenate(cells), kind="stable")
     return np.concatenate(cells)[order], np.concatenate(draws)[order]
 
@@ -281,8 +281,8 @@ class VesselFalseBoxes:
         middle = (true_px[:, :2] + true_px[:, 2:]) / 2 + sides * place[:, :2]
         half = sides * on_grid(special.exp2(place[:, 2:] / _LN_2)) / 2
         boxes = np.concatenate([middle - half, middle + half], axis=1)
-        there: Mask = (uniforms[:, 0] < self.share) & inside_image(boxes, image_size_px)
-        return clip(boxes, image_size_px), there
+        present: Mask = (uniforms[:, 0] < self.share) & inside_image(boxes, image_size_px)
+        return clip(boxes, image_size_px), present
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,10 +370,10 @@ class FalsePositiveSource:
         """False positives that stay for a while and drift along the horizon."""
         options = self.options
         means = options.persistent_share * options.numbers.means(self.rates, around.counts)
-        found = persistent_false_positives(around.streams, around.frames, means, options.lifetime_s)
-        ordinal = np.arange(len(found.frame)) - np.searchsorted(found.frame, found.frame)
-        drift_px = found.sign * options.drift_px_s * found.age_s
-        return self._of_draws(around, found.frame, ordinal, found.uniforms, drift_px)
+        positives = persistent_false_positives(around.streams, around.frames, means, options.lifetime_s)
+        ordinal = np.arange(len(positives.frame)) - np.searchsorted(positives.frame, positives.frame)
+        drift_px = positives.sign * options.drift_px_s * positives.age_s
+        return self._of_draws(around, positives.frame, ordinal, positives.uniforms, drift_px)
 
     def _of_draws(
         self, around: Surroundings, frame: Indices, ordinal: Indices, uniforms: Array, drift_px: Array | None

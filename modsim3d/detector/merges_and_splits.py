@@ -34,8 +34,8 @@ class PairNoise:
         for place, (a, b) in enumerate(pairs.tolist()):
             places.setdefault("\n".join(sorted((ids[a], ids[b]))), []).append(place)
         steps, result = frames.steps[kept.frame[pairs[:, 0]]], np.empty(len(pairs))
-        for name, ours in places.items():
-            result[ours] = self._of_pair(frames.camera, name, steps[ours])
+        for name, rows in places.items():
+            result[rows] = self._of_pair(frames.camera, name, steps[rows])
         return result
 
     def _of_pair(self, camera: str, name: str, steps: Indices) -> Array:
@@ -58,9 +58,9 @@ class PairNoise:
 
     def _decays_until(self, stop: int) -> Array:
         """The probability to keep the number at each step, shape (at least `stop`,)."""
-        known = len(self._decays)
-        if stop > known:
-            times = self._clock(known - 1, stop).tolist()
+        count = len(self._decays)
+        if stop > count:
+            times = self._clock(count - 1, stop).tolist()
             self._decays += [decay(b - a, self._correlation_s) for a, b in itertools.pairwise(times)]
         return np.array(self._decays)
 
@@ -87,13 +87,13 @@ class MergesAndSplits:
         uniforms = noise.uniforms(frames, kept, pairs)
         willing = np.flatnonzero(uniforms < self.merges)
         taken: set[int] = set()
-        found = []
+        winners = []
         for row in willing[np.lexsort((uniforms[willing], -overlap[willing]))]:
             pair = pairs[row].tolist()
             if taken.isdisjoint(pair):
                 taken.update(pair)
-                found.append(pair)
-        return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+                winners.append(pair)
+        return np.array(sorted(winners), dtype=np.int64).reshape(-1, 2)
 
     def looks_long(self, boxes_px: Array) -> Mask:
         """Whether true boxes of shape (n, 4) are so wide for their height that a vessel may be split, shape (n,)."""

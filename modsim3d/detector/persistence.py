@@ -228,8 +228,8 @@ class Walk:
         while self._next < stop:
             first = self._next
             values = self._piece(min(first + self._stride, stop))
-            ours = np.flatnonzero((steps >= first) & (steps < self._next))
-            result[ours] = values[steps[ours] - first, vessel[ours]]
+            rows = np.flatnonzero((steps >= first) & (steps < self._next))
+            result[rows] = values[steps[rows] - first, vessel[rows]]
         return result
 
     def _piece(self, stop: int) -> Array:

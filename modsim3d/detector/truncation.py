@@ -55,7 +55,7 @@ def _direction_numbers(dimensions: int) -> NDArray[np.uint32]:
                     number ^= numbers[k - i] << i
             numbers.append(number)
         columns.append(numbers)
-    return np.array([[number << (_BITS - 1 - k) for k, number in enumerate(each)] for each in columns], dtype=np.uint32)
+    return np.array([[number << (_BITS - 1 - k) for k, number in enumerate(row)] for row in columns], dtype=np.uint32)
 
 
 POINTS = 128

@@ -72,10 +72,10 @@ def coco_results(
 ) -> bytes:
     """COCO results, with image IDs of the truth's file and the category of each label; frames are places of images."""
     entries: list[dict[str, Any]] = []
-    for video, each in found:
-        shapes = np.round(np.concatenate([each.boxes_px[:, :2], sizes(each.boxes_px)], axis=1), BOX_DECIMALS)
-        rows = video.images[each.frame].tolist()
-        columns = rows, each.label.tolist(), shapes.tolist(), each.confidence.tolist()
+    for video, part in found:
+        shapes = np.round(np.concatenate([part.boxes_px[:, :2], sizes(part.boxes_px)], axis=1), BOX_DECIMALS)
+        rows = video.images[part.frame].tolist()
+        columns = rows, part.label.tolist(), shapes.tolist(), part.confidence.tolist()
         entries += [
             {"image_id": images[row], "category_id": numbers[label], "bbox": box, "score": score}
             for row, label, box, score in zip(*columns, strict=True)
@@ -362,8 +362,8 @@ class _ReadVideos:
         left_out = check_needs(model, detector, sought.depth_m[sought.visible_fraction > 0], sea)
         notes = (*labelled.notes, *taken, *sought.notes, *left_out, *dead_lines(model))
         pair = truth.is_file() and kind in ("MOT", "COCO")
-        stem, known = truth.resolve().stem, (labelled, model, ids, classes, pair, to_label, videos, sought, sea)
-        return cls(kind, source, stem, *known, given, notes)
+        stem, members = truth.resolve().stem, (labelled, model, ids, classes, pair, to_label, videos, sought, sea)
+        return cls(kind, source, stem, *members, given, notes)
 
     @property
     def numbers(self) -> dict[str, int]:
@@ -403,17 +403,17 @@ class _ReadVideos:
         parts: dict[str, list[TrackerDetections]] = {name: [] for name in cameras}
         for block in run.blocks():
             for part in block.cameras:
-                found = TrackerDetections.of(part.detections)
+                detections = TrackerDetections.of(part.detections)
                 name = cameras[part.camera]
                 place = np.searchsorted(run.scene.frame_steps(run.scene.cameras[part.camera], 0, run.steps), part.steps)
-                parts[name].append(replace(found, frame=place[found.frame]))
+                parts[name].append(replace(detections, frame=place[detections.frame]))
         of_videos = [(video, TrackerDetections.join(parts[video.file_name])) for video in self.videos]
         if self.kind == "MOT":
             before = 1 - self.ids.first_frame  # of frames and pixels that the file counts from 0
-            ((video, found),) = of_videos
-            found = replace(found, frame=found.frame - before, boxes_px=found.boxes_px - before)
+            ((video, detections),) = of_videos
+            detections = replace(detections, frame=detections.frame - before, boxes_px=detections.boxes_px - before)
             with open_input(truth, "ground truth") as file:
-                return mot_files(file.read(), video, found, numbers)
+                return mot_files(file.read(), video, detections, numbers)
         return {"dt.json": coco_results(of_videos, self.ids.images, numbers)}
 
     def occlusion(self) -> dict[str, int]:

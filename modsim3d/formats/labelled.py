@@ -135,7 +135,7 @@ def joined(parts: Sequence[LabelledSet]) -> LabelledSet:
 def _counts(part: LabelledSet) -> list[int]:
     """Numbers of images and annotations, and the first free numbers of a source, a sequence and an identity."""
     numbered = part.images.source, part.images.sequence, part.annotations.identity
-    return [len(part.images), len(part.annotations), *(int(each.max(initial=-1)) + 1 for each in numbered)]
+    return [len(part.images), len(part.annotations), *(int(column.max(initial=-1)) + 1 for column in numbered)]
 
 
 def _moved(part: LabelledSet, offset: Sequence[int], labels: Sequence[str], conditions: Sequence[str]) -> LabelledSet:
@@ -185,7 +185,7 @@ def _stacked(parts: Sequence[Images] | Sequence[Annotations] | Sequence[Results]
 
 def _column(name: str, values: list[Any], lengths: list[int]) -> Any:
     if name == "names":
-        return tuple(each for part in values for each in part)
+        return tuple(entry for part in values for entry in part)
     present = next((value for value in values if value is not None), None)
     if present is not None and name in ("probabilities", "unsure_box"):
         filler = np.nan if name == "probabilities" else False
@@ -257,9 +257,9 @@ def read_horizon(value: Any, width_px: float) -> tuple[float, float, float] | No
     if value is None:
         return UNKNOWN
     numbers = value if isinstance(value, list) else [value]
-    if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers):
+    if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
         return None
-    if len(numbers) not in (1, 2, 4) or not all(-MAX_PX <= each <= MAX_PX for each in numbers):
+    if len(numbers) not in (1, 2, 4) or not all(-MAX_PX <= number <= MAX_PX for number in numbers):
         return None
     if len(numbers) == 4:
         return None if abs(numbers[0] - numbers[2]) < _MIN_PX else _below(*numbers)

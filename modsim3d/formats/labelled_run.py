@@ -33,9 +33,9 @@ def _images(rows: RunRows, frames: Indices) -> Images:
     cameras = rows.scene.cameras
     step, camera = frames // len(cameras), frames % len(cameras)
     half_planes = np.empty((len(frames), 3))
-    for index, each in enumerate(cameras):
-        ours = np.flatnonzero(camera == index)  # in order of step
-        half_planes[ours] = rows.scene.sea_half_planes(each, step[ours])
+    for index, scene_camera in enumerate(cameras):
+        own_rows = np.flatnonzero(camera == index)  # in order of step
+        half_planes[own_rows] = rows.scene.sea_half_planes(scene_camera, step[own_rows])
     sizes_px = np.array([camera.intrinsics.image_size_px for camera in cameras], dtype=np.float64)
     return Images(
         names=tuple(f"{cameras[c].name} {s}" for c, s in zip(camera.tolist(), step.tolist(), strict=True)),
@@ -80,8 +80,8 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
         kind=kind[kept],
     ).by_image()
     truth_image = positions(frames, rows.truth_frame)
-    found = (truth_image * vessels + rows.truth_vessel)[rows.detected & (truth_image >= 0)]
-    partner = _partners(results, truth, np.isin(truth.image * vessels + truth.identity, found))
+    keys = (truth_image * vessels + rows.truth_vessel)[rows.detected & (truth_image >= 0)]
+    partner = _partners(results, truth, np.isin(truth.image * vessels + truth.identity, keys))
     origin, on_vessel = results.origin, results.kind == ON_VESSEL
     assert origin is not None  # as given above
     partner[on_vessel] = origin[on_vessel]
@@ -98,7 +98,7 @@ def _partners(results: Results, truth: Annotations, detected: Mask) -> Indices:
     boxless = detected.copy()
     boxless[origin[origin >= 0]] = False
     rows = np.flatnonzero(boxless)
-    first, second = (np.concatenate(each) for each in zip(*_same_image(results, merged, truth, rows), strict=True))
+    first, second = (np.concatenate(parts) for parts in zip(*_same_image(results, merged, truth, rows), strict=True))
     both_px = unions(truth.boxes_px[origin[first]], truth.boxes_px[second])
     taken = set[int]()
     for place in np.argsort(-iou(results.boxes_px[first], both_px), kind="stable").tolist():

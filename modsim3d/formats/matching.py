@@ -89,10 +89,10 @@ class Matching:
     @cached_property
     def detection(self) -> Indices:
         """Row of the detection that matches each annotation, −1 for none, shape (T,)."""
-        found = np.full(len(self.sought), NOBODY)
+        matches = np.full(len(self.sought), NOBODY)
         rows, annotation = self.pairs
-        found[annotation] = rows
-        return found
+        matches[annotation] = rows
+        return matches
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,10 +242,10 @@ def _assign(pairs: Candidates, matches: Indices) -> None:
         if len(part) == 1:
             matches[rows[row[part[0]]]] = columns[column[part[0]]]
             continue
-        ours, i = np.unique(row[part], return_inverse=True)
-        theirs, j = np.unique(column[part], return_inverse=True)
-        gain = np.zeros((len(ours), len(theirs)))
+        part_rows, i = np.unique(row[part], return_inverse=True)
+        part_columns, j = np.unique(column[part], return_inverse=True)
+        gain = np.zeros((len(part_rows), len(part_columns)))
         gain[i, j] = quality[part] - quality.min() + 1 + min(gain.shape) * (1 + np.ptp(quality))
         for a, b in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
             if gain[a, b] > 0:
-                matches[rows[ours[a]]] = columns[theirs[b]]
+                matches[rows[part_rows[a]]] = columns[part_columns[b]]

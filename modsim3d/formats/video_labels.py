@@ -52,11 +52,11 @@ def labels_of(
     of_vessel = [labels[label] for label in counts.argmax(axis=1)[order].tolist()]
     step, camera = place.of(sought.image)
     by_place = np.lexsort((rank[vessel], camera, step))
-    known = sought.visible_fraction, sought.depth_m, sought.in_frame_fraction
-    boxes = LabelledBoxes(step, camera, rank[vessel], sought.boxes_px, *known).take(by_place)
+    columns = sought.visible_fraction, sought.depth_m, sought.in_frame_fraction
+    boxes = LabelledBoxes(step, camera, rank[vessel], sought.boxes_px, *columns).take(by_place)
     row_of = np.full(len(labelled.annotations), NOBODY)
     row_of[sought.rows[by_place]] = np.arange(len(boxes))
-    found, said = _detections(labelled, row_of, to_label, place) if given else (None, [])
+    detections, remarks = _detections(labelled, row_of, to_label, place) if given else (None, [])
     return LabelledPoses(
         tuple(map(repr, place.times_s.tolist())),
         tuple(
@@ -73,8 +73,8 @@ def labels_of(
         dict(zip(named[order].tolist(), of_vessel, strict=True)),
         boxes,
         _regions(labelled, place),
-        found,
-        (*labelled.notes, *sought.notes, *(notes if turning else ()), *said),
+        detections,
+        (*labelled.notes, *sought.notes, *(notes if turning else ()), *remarks),
     )
 
 
@@ -114,17 +114,17 @@ def _detections(
     boxes_px = clip(results.boxes_px, labelled.images.sizes_px[results.image])
     matched = match(labelled, Rule("confidence" if labelled.scored else "optimal"))
     row = np.append(row_of, NOBODY)[matched.annotation]  # the last is that of none
-    known = matched.counts & ((matched.annotation < 0) | (row >= 0)) & (to_label[results.label] >= 0)
-    kept = np.flatnonzero((sizes(boxes_px) > 0).all(axis=1) & known)
+    usable = matched.counts & ((matched.annotation < 0) | (row >= 0)) & (to_label[results.label] >= 0)
+    kept = np.flatnonzero((sizes(boxes_px) > 0).all(axis=1) & usable)
     step, camera = place.of(results.image)
     confidence = np.nan_to_num(results.confidence, nan=1.0)
-    found = GivenDetections(step, camera, to_label[results.label], boxes_px, confidence, row).take(kept)
+    detections = GivenDetections(step, camera, to_label[results.label], boxes_px, confidence, row).take(kept)
     notes = []
-    if left := int((~known).sum()):
+    if left := int((~usable).sum()):
         notes.append(f"{left:,} of {len(results):,} detections are left out: they lie where nothing counts")
     if not labelled.scored:
         notes.append("the detections have no confidence: 1 stands for it")
-    return found.take(np.lexsort((-found.confidence, found.camera, found.step))), notes
+    return detections.take(np.lexsort((-detections.confidence, detections.camera, detections.step))), notes
 
 
 def given_detector(labels: Sequence[str]) -> dict[str, Any]:

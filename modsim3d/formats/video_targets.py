@@ -70,34 +70,34 @@ def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str,
     of_label = to_label[rows.label] >= 0
     wanted = ~rows.ignored & of_label
     solid = np.flatnonzero(inside & ~rows.crowd)
-    found = np.flatnonzero(wanted & inside)
-    if len(without := found[rows.identity[found] < 0]):
+    targets = np.flatnonzero(wanted & inside)
+    if len(without := targets[rows.identity[targets] < 0]):
         image = shown(labelled.images.names[rows.image[without[0]]])
-        what = f"{len(without)} of {len(found)} boxes have no track, the first is in image {image}"
+        what = f"{len(without)} of {len(targets)} boxes have no track, the first is in image {image}"
         raise InputError(source, [f"{what}: each needs a track_id in COCO, or a track of 0 or more in a text file"])
     feet_px = rows.boxes_px[:, 3]
-    fractions, from_overlap, notes = _visible(rows.visible_fraction, rows.image, boxes_px, feet_px, solid, found)
+    fractions, from_overlap, notes = _visible(rows.visible_fraction, rows.image, boxes_px, feet_px, solid, targets)
     left_out = {
         "not to be considered": rows.ignored,
         "of classes that are not to be detected": ~rows.ignored & ~of_label,
         "outside their image": wanted & ~inside,
     }
     counted = ((why, int(mask.sum())) for why, mask in left_out.items())
-    said = [f"{count} of {len(rows)} boxes are left out: {why}" for why, count in counted if count]
+    remarks = [f"{count} of {len(rows)} boxes are left out: {why}" for why, count in counted if count]
     names = np.argsort(np.argsort(np.array([str(track) for track in tracks], dtype=object), kind="stable"))
-    order = found[np.lexsort((names[rows.identity[found]] if len(names) else found, rows.image[found]))]
+    order = targets[np.lexsort((names[rows.identity[targets]] if len(names) else targets, rows.image[targets]))]
     places = rows.image[order], rows.identity[order], to_label[rows.label[order]], boxes_px[order]
     by_overlap = int(from_overlap[order].sum())
     in_frame = np.full(len(order), np.nan) if rows.in_frame_fraction is None else rows.in_frame_fraction[order]
-    return TargetBoxes(*places, fractions[order], rows.depth_m[order], in_frame, order, by_overlap, (*said, *notes))
+    return TargetBoxes(*places, fractions[order], rows.depth_m[order], in_frame, order, by_overlap, (*remarks, *notes))
 
 
 def _visible(
-    given: Array, image: Indices, boxes_px: Array, feet_px: Array, solid: Indices, found: Indices
+    given: Array, image: Indices, boxes_px: Array, feet_px: Array, solid: Indices, targets: Indices
 ) -> tuple[Array, Mask, list[str]]:
     """Visible fractions of all boxes, which of them come from overlap, shapes (n,), and remarks."""
     unknown = np.isnan(given)
-    missing, constant = int(unknown[found].sum()), len(found) > 0 and bool((given[found] == 1).all())
+    missing, constant = int(unknown[targets].sum()), len(targets) > 0 and bool((given[targets] == 1).all())
     fractions = given.copy()
     if not missing and not constant:
         return fractions, unknown, []
@@ -106,8 +106,8 @@ def _visible(
     if missing:
         fractions[unknown] = of_overlap[unknown]
         nearer = "of overlapping boxes the one with the lower foot is nearer"
-        return fractions, unknown, [f"visibility of {missing} of {len(found)} boxes comes from overlap: {nearer}"]
-    hidden = int((of_overlap[found] < _HALF).sum())
+        return fractions, unknown, [f"visibility of {missing} of {len(targets)} boxes comes from overlap: {nearer}"]
+    hidden = int((of_overlap[targets] < _HALF).sum())
     doubt = f"the file's visibility is 1 everywhere, but other boxes cover more than half of {hidden} boxes"
     remedy = "if it is not known, leave it out, and it comes from overlap"
     return fractions, unknown, [f"{doubt}: {remedy}"] if hidden else []
@@ -147,9 +147,9 @@ def videos_of(labelled: LabelledSet, ids: FileIds, source: str) -> list[Video]:
     for number, rows in zip(numbers.tolist(), np.split(order, starts[1:]), strict=True):
         given = ids.sequences[number]
         name = NO_NAME if given is None else str(given)
-        found = list(_problems(name, images, rows))
-        problems += found
-        if not found:
+        faults = list(_problems(name, images, rows))
+        problems += faults
+        if not faults:
             width, height = images.sizes_px[rows[0]].astype(np.int64).tolist()
             videos.append(Video(name, rows, images.time_s[rows], (width, height)))
     problems += _alike(videos)
@@ -186,9 +186,9 @@ def _problems(name: str, images: Images, rows: Indices) -> Iterator[str]:
 
 def _alike(videos: list[Video]) -> Iterator[str]:
     """Sequences whose files would have one name, also where the case of names means nothing."""
-    known: dict[str, str] = {}
+    names: dict[str, str] = {}
     for video in videos:
-        before = known.setdefault(video.file_name.casefold(), video.name)
+        before = names.setdefault(video.file_name.casefold(), video.name)
         if before is not video.name:
             yield f"sequences {shown(before)} and {shown(video.name)} would have files of one name: rename one of them"
 

@@ -60,8 +60,8 @@ class Distortion:
                 ideal = ideal - step / (a * d - b * c)[..., None]
                 if np.abs(step).max(initial=0.0) < 1e-14:
                     break
-            found = np.abs(self.distort(ideal) - distorted).max(axis=-1, keepdims=True) < 1e-9
-        return np.where(found, ideal, np.nan)
+            exact = np.abs(self.distort(ideal) - distorted).max(axis=-1, keepdims=True) < 1e-9
+        return np.where(exact, ideal, np.nan)
 
     def one_to_one(self, ideal: Array) -> bool:
         """Whether the map is one to one between the axis and these points of the ideal plane, shape (n, 2)."""

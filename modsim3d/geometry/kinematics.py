@@ -101,15 +101,15 @@ def closest_approach(times_s: Array, one_m: Array, other_m: Array) -> tuple[floa
         The distance in metres and the time in seconds; infinite and NaN if the two are never there together.
     """
     apart = other_m - one_m
-    known = np.isfinite(apart[:, 0] + apart[:, 1])
-    if not known.any():
+    finite = np.isfinite(apart[:, 0] + apart[:, 1])
+    if not finite.any():
         return np.inf, np.nan
-    distance = np.where(known, np.hypot(apart[:, 0], apart[:, 1]), np.inf)
+    distance = np.where(finite, np.hypot(apart[:, 0], apart[:, 1]), np.inf)
     moved = np.diff(apart, axis=0)
     length2 = (moved**2).sum(axis=1)
     share = np.clip(-(apart[:-1] * moved).sum(axis=1) / np.where(length2 > 0, length2, 1.0), 0.0, 1.0)
     nearest = apart[:-1] + share[:, None] * moved
-    between = np.where(known[:-1] & known[1:], np.hypot(nearest[:, 0], nearest[:, 1]), np.inf)
+    between = np.where(finite[:-1] & finite[1:], np.hypot(nearest[:, 0], nearest[:, 1]), np.inf)
     at, leg = int(np.argmin(distance)), int(np.argmin(between)) if len(between) else 0
     if not len(between) or distance[at] <= between[leg]:
         return float(distance[at]), float(times_s[at])

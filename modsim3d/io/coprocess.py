@@ -80,18 +80,18 @@ class Coprocess:
         self._unregister(self._program.stdin)
         self._program.stdin.close()
         self._wait(lambda: self._ended, f"did not end within {self._timeout_s:g} s after the end of its input")
-        said = self._end()
+        ending = self._end()
         if self._said:
             raise self.error(f"it wrote more than was asked: {quote(bytes(self._said))}")
-        if said != "it ended with status 0":
-            raise self.error(f"{said} after the end of its input")
+        if ending != "it ended with status 0":
+            raise self.error(f"{ending} after the end of its input")
 
     def error(self, text: str) -> CoprocessError:
         """The error of a problem, with the last lines that the program wrote to standard error."""
         with suppress(OSError):
             self._take_error()  # what has come meanwhile
         lines = bytes(self._errors).decode("utf-8", "replace").splitlines()[-_LAST_LINES:]
-        last = [plain for line in lines if (plain := "".join(each for each in line if each.isprintable()).strip())]
+        last = [plain for line in lines if (plain := "".join(char for char in line if char.isprintable()).strip())]
         return CoprocessError(text, " | ".join(last))
 
     def _wait(self, done: Callable[[], bool], late: str) -> None:
@@ -150,5 +150,5 @@ class Coprocess:
 def quote(line: bytes) -> str:
     """A line that a program wrote, cut and without control characters, in quotation marks."""
     text = line.decode("utf-8", "replace").split("\n")[0]
-    plain = "".join(each if each.isprintable() else "?" for each in text)
+    plain = "".join(char if char.isprintable() else "?" for char in text)
     return f"'{plain[:80]}{'…' if len(plain) > 80 else ''}'"

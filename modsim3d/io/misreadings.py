@@ -22,22 +22,22 @@ def no_commas(first_line: str) -> str:
     if first_line.strip().lower().startswith("sep="):
         return ": line 1 is for spreadsheets alone, leave it out"
     marks = {";": "semicolons", "\t": "tabs", "|": "bars"}
-    found = [word for mark, word in marks.items() if first_line.count(mark) > first_line.count(",")]
+    words = [word for mark, word in marks.items() if first_line.count(mark) > first_line.count(",")]
     points = ", and points in numbers" * bool(re.search("[0-9],[0-9]", first_line))
-    return f": its cells have {found[0]} between them, must have commas{points}" if found else ""
+    return f": its cells have {words[0]} between them, must have commas{points}" if words else ""
 
 
 def has_lost_digits(identity: str) -> bool:
     """Whether an identity is a number with fewer digits than it stands for, such as 2.19E+08 of a spreadsheet."""
-    found = re.match(SCIENTIFIC, identity)
-    return found is not None and sum(map(str.isdigit, found[1])) <= float(found[2]) <= _MAX_DIGITS
+    match = re.match(SCIENTIFIC, identity)
+    return match is not None and sum(map(str.isdigit, match[1])) <= float(match[2]) <= _MAX_DIGITS
 
 
 def are_rounded(identities: Iterable[object]) -> bool:
     """Whether the whole numbers among identities went through single precision. MMSI that end in 000 tell nothing."""
-    whole = (each for each in identities if isinstance(each, int) and each % 1000)
-    large = {each for each in whole if _FIRST_ROUNDED <= each < _LAST_ROUNDED}
-    return len(large) >= _FEW_ROUNDED and all(int(np.float32(each)) == each for each in large)
+    whole = (number for number in identities if isinstance(number, int) and number % 1000)
+    large = {number for number in whole if _FIRST_ROUNDED <= number < _LAST_ROUNDED}
+    return len(large) >= _FEW_ROUNDED and all(int(np.float32(number)) == number for number in large)
 
 
 def other_unit(times_s: Array, length_s: float) -> str:

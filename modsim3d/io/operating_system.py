@@ -234,15 +234,15 @@ class Program:
 
 def _pumped(pipe: RawIOBase) -> RawIOBase:
     """A socket whose bytes a thread carries to or from a pipe: on Windows only sockets can be waited for."""
-    here, there = socket.socketpair()
+    here, far_end = socket.socketpair()
 
     def carry() -> None:
-        with suppress(OSError), there, pipe:
+        with suppress(OSError), far_end, pipe:
             if pipe.readable():
                 while piece := pipe.read(_CHUNK):
-                    there.sendall(piece)
+                    far_end.sendall(piece)
             else:
-                while piece := there.recv(_CHUNK):
+                while piece := far_end.recv(_CHUNK):
                     while piece:
                         piece = piece[pipe.write(piece) :]
 

@@ -142,15 +142,15 @@ Identity = tuple[int, int]  # device and number of a file or folder, which all i
 def identity(path: Path) -> Identity | None:
     """Identity of what a path leads to; None if nothing is there, or if that cannot be told."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def identities(paths: Iterable[Path]) -> set[Identity]:
     """Identities of what some paths lead to; those that lead nowhere are left out."""
-    return {found for path in paths if (found := identity(path)) is not None}
+    return {inode for path in paths if (inode := identity(path)) is not None}
 
 
 def is_inside(path: Path, folder: Path) -> bool:
@@ -158,8 +158,8 @@ def is_inside(path: Path, folder: Path) -> bool:
     real = Path(os.path.realpath(path))
     if real.is_relative_to(os.path.realpath(folder)):
         return True
-    there = identity(folder)
-    return there is not None and any(identity(above) == there for above in (real, *real.parents))
+    inode = identity(folder)
+    return inode is not None and any(identity(above) == inode for above in (real, *real.parents))
 
 
 @contextmanager
@@ -232,17 +232,17 @@ def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
 
 
 def _check_folder(path: Path) -> None:
-    there = next((parent for parent in path.parents if parent.exists()), None)
-    if there is not None and not there.is_dir():
-        raise OutputError(f"{there} is a file, and {path.name} is to be written into a folder: choose another name")
+    ancestor = next((parent for parent in path.parents if parent.exists()), None)
+    if ancestor is not None and not ancestor.is_dir():
+        raise OutputError(f"{ancestor} is a file, and {path.name} is to be written into a folder: choose another name")
 
 
 def check_not_read(path: Path, inputs: Iterable[Path]) -> None:
     """Refuse, with OutputError, to write a file or folder that is read, by whatever name."""
     written = {identity(place): place for place in (path, partial_of(path), lock_of(path))}
     for read in inputs:
-        if (found := identity(read)) is not None and found in written:
-            what = path if written[found] == path else f"{written[found]}, which is used while {path} is written,"
+        if (inode := identity(read)) is not None and inode in written:
+            what = path if written[inode] == path else f"{written[inode]}, which is used while {path} is written,"
             raise OutputError(f"{what} is read by this command, so it is not written over: choose another name")
         if not read.is_file() and is_inside(path, read):
             raise OutputError(f"{path} is inside {read}, which this command reads: choose another folder")

@@ -59,14 +59,14 @@ def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) 
     """The object that an entry point names, and its origin. `path` is the key or option that names it, for errors;
     `built_in` are names that need no plug-in, for the hint at an unknown one. Raises InputError if there is no such
     plug-in, more than one, or it cannot be imported."""
-    found = list(entry_points(group=group, name=name))
-    if not found:
+    points = list(entry_points(group=group, name=name))
+    if not points:
         hint = nearest(name, [*built_in, *plugin_names(group)])
         raise InputError(path, [f"nothing is called '{name}' here, and no plug-in of {group} ({hint})"])
-    if len(found) > 1:
-        packages = " and ".join(sorted(_package(point) for point in found))
+    if len(points) > 1:
+        packages = " and ".join(sorted(_package(point) for point in points))
         raise InputError(path, [f"{packages} both bring a plug-in '{name}' of {group}: uninstall one of them"])
-    (point,) = found
+    (point,) = points
     try:
         loaded, module = point.load(), sys.modules[point.module]
         if module not in _LOADED:
@@ -107,10 +107,10 @@ def own_files(point: EntryPoint) -> dict[str, str]:
     They are those in the record of its distribution, and all files in its packages but for hidden ones: neither files
     downloaded into them nor an editable installation are in the record."""
     dist = point.dist
-    found = {file.as_posix(): Path(str(dist.locate_file(file))) for file in dist.files or ()} if dist else {}
-    for module in {point.module, *(each.module for each in (dist.entry_points if dist else ()))}:
-        found |= _of_package(module)
-    contents = {name: path.read_bytes() for name, path in found.items() if not _MADE.search(name) and path.is_file()}
+    files = {file.as_posix(): Path(str(dist.locate_file(file))) for file in dist.files or ()} if dist else {}
+    for module in {point.module, *(entry.module for entry in (dist.entry_points if dist else ()))}:
+        files |= _of_package(module)
+    contents = {name: path.read_bytes() for name, path in files.items() if not _MADE.search(name) and path.is_file()}
     if dist and (named := dist.read_text("entry_points.txt")):
         contents["entry_points.txt"] = named.encode()
     return {name: hashlib.sha256(content).hexdigest() for name, content in sorted(contents.items())}
@@ -122,9 +122,9 @@ def _of_package(module: str) -> Iterator[tuple[str, Path]]:
     spec = find_spec(name)
     while spec and spec.origin is None and rest:  # a namespace, in which others may have packages too
         inner, _, rest = rest.partition(".")
-        if not (found := find_spec(f"{name}.{inner}")) or found.submodule_search_locations is None:
+        if not (package := find_spec(f"{name}.{inner}")) or package.submodule_search_locations is None:
             break
-        name, spec = found.name, found
+        name, spec = package.name, package
     folders = spec.submodule_search_locations if spec else ()
     if folders is None and spec and spec.origin:
         yield Path(spec.origin).name, Path(spec.origin)

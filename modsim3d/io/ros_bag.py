@@ -86,8 +86,8 @@ def read_bag(
         note_input(file)
     try:
         with AnyReader([path], default_typestore=store) as reader:
-            topics = chosen({each.topic: each.msgtype for each in reader.connections})
-            for connection, _, raw in reader.messages([each for each in reader.connections if each.topic in topics]):
+            topics = chosen({link.topic: link.msgtype for link in reader.connections})
+            for connection, _, raw in reader.messages([link for link in reader.connections if link.topic in topics]):
                 content: Any = reader.deserialize(raw, connection.msgtype)
                 stamp = content.header.stamp
                 stamp_ns = int(stamp.sec) * NANO + int(stamp.nanosec)

@@ -73,19 +73,19 @@ def _too_many(what: str) -> str:
     return f"the file has more than {most} {what}; give large tables as JSON, as vessels and poses can be"
 
 
-def _values(node: yaml.Node, known: dict[int, int]) -> int:
+def _values(node: yaml.Node, counts: dict[int, int]) -> int:
     """Values of a node with all that its aliases repeat; `known` has those of nodes by their `id`."""
-    if id(node) not in known:
-        known[id(node)] = 0  # a node within itself, which cannot be constructed
+    if id(node) not in counts:
+        counts[id(node)] = 0  # a node within itself, which cannot be constructed
         count = 1
         if isinstance(node, yaml.ScalarNode):
             count += len(node.value) // input_files.YAML_CHARACTERS_PER_VALUE
         elif isinstance(node, yaml.SequenceNode):
-            count += sum(_values(item, known) for item in node.value)
+            count += sum(_values(item, counts) for item in node.value)
         else:
-            count += sum(_values(part, known) for pair in node.value for part in pair)
-        known[id(node)] = count
-    return known[id(node)]
+            count += sum(_values(part, counts) for pair in node.value for part in pair)
+        counts[id(node)] = count
+    return counts[id(node)]
 
 
 # PyYAML follows YAML 1.1, where `1e-6` is a string, `no` is false, `1:30` is 90, and some texts are dates or `=`.
@@ -214,13 +214,13 @@ def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
         return []
     pairs = content if isinstance(content, _Pairs) else list(enumerate(content))
     seen: set[object] = set()
-    found: list[str] = []
+    problems: list[str] = []
     for key, value in pairs:
         if key in seen:
-            found.append(f"{join_path(*path, key)}: the key '{key}' appears twice")
+            problems.append(f"{join_path(*path, key)}: the key '{key}' appears twice")
         seen.add(key)
-        found += _repeated_keys(value, (*path, key))
-    return found
+        problems += _repeated_keys(value, (*path, key))
+    return problems
 
 
 def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:

@@ -48,9 +48,9 @@ class RowProblems:
         """End a stage. Raises InputError if there are wrong rows."""
         if not self._wrong:
             return
-        told = sorted(self._found)[:_MAX_ROWS]
-        lines = [f"{self.word} {self.line[row]}: {self._found[row][0]}" for row in told]
-        if more := len(self._wrong.difference(*(self._found[row][1] for row in told))):
+        rows = sorted(self._found)[:_MAX_ROWS]
+        lines = [f"{self.word} {self.line[row]}: {self._found[row][0]}" for row in rows]
+        if more := len(self._wrong.difference(*(self._found[row][1] for row in rows))):
             lines.append(f"… and {more:,} more {self.word}s")
         raise InputError(self.source, lines)
 
@@ -76,8 +76,8 @@ class TextTable:
         line = np.delete(np.arange(count), [number - 1 for number, _, _ in other]) + first_line
         if wrong := [(number, cells, line_text) for number, cells, line_text in other if line_text.strip()]:
             number, cells, line_text = wrong[0]
-            found = f"line {number - 1 + first_line}: has {counted(cells, 'cell')}, must have {len(names)}"
-            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)}){no_commas(','.join(names))}"]
+            problem = f"line {number - 1 + first_line}: has {counted(cells, 'cell')}, must have {len(names)}"
+            lines = [f"{problem}: {', '.join(names)} (got {shown(line_text)}){no_commas(','.join(names))}"]
             if len(wrong) > 1:
                 lines.append(f"… and {len(wrong) - 1:,} more lines")
             raise InputError(source, lines)
@@ -150,8 +150,8 @@ class TextTable:
             return np.full(len(self), NOBODY)
         texts = self.columns[name]
         index = pc.fill_null(pc.index_in(texts, value_set=pa.array(list(known), pa.string())), NOBODY)
-        found = np.asarray(index.to_numpy(zero_copy_only=False), dtype=np.int64)
-        unknown = found == NOBODY
+        indices = np.asarray(index.to_numpy(zero_copy_only=False), dtype=np.int64)
+        unknown = indices == NOBODY
         if not needed:
             unknown &= ~_mask(pc.equal(pc.binary_length(texts), 0))
         self.problems.refuse(
@@ -159,7 +159,7 @@ class TextTable:
             lambda row: f"there is no {name} {self._cell(name, row)} ({nearest(texts[row].as_py(), known)})",
             np.unique(texts.to_numpy(zero_copy_only=False).astype(str), return_inverse=True)[1],
         )
-        return found
+        return indices
 
     def _cell(self, name: str, row: int) -> str:
         return shown(self.columns[name][row].as_py())

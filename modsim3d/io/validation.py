@@ -102,8 +102,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
 def nearest_key(key: str, known: Collection[str]) -> str:
     """The hint of `nearest` for a key, or the known keys that others call like this; see `synonyms.yaml`."""
     word, table = str(key).lower().replace("-", "_"), _synonyms().items()
-    ours = [f"'{each}'" for each, theirs in table if word in theirs and each.partition(".")[0] in known]
-    return f"did you mean {' or '.join(ours)}?" if ours else nearest(key, known)
+    keys = [f"'{path}'" for path, synonyms in table if word in synonyms and path.partition(".")[0] in known]
+    return f"did you mean {' or '.join(keys)}?" if keys else nearest(key, known)
 
 
 @cache
@@ -118,7 +118,7 @@ def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[Ba
         if get_origin(current) is dict:
             current = get_args(current)[1]
         elif get_origin(current) in (list, tuple) and isinstance(part, int):
-            items = [each for each in get_args(current) if each is not ...]
+            items = [member for member in get_args(current) if member is not ...]
             current = items[min(part, len(items) - 1)]
         elif part in getattr(current, "model_fields", {}):
             current = current.model_fields[part].annotation
@@ -188,8 +188,8 @@ def words(problem: Mapping[str, Any], known: str = "") -> str:
         return str(problem["msg"]).removeprefix("Value error, ")
     facts = problem.get("ctx", {}).items()
     numbers = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in facts}
-    said = problem["msg"] if problem["type"] == "needed" else _WORDS.get(problem["type"], _OTHER).format(**numbers)
-    return f"{said}{known} (got {shown(problem['input'])})"
+    text = problem["msg"] if problem["type"] == "needed" else _WORDS.get(problem["type"], _OTHER).format(**numbers)
+    return f"{text}{known} (got {shown(problem['input'])})"
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
@@ -210,8 +210,8 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             lines.append(f"{path}: missing" + f" (got {shown(item['input'])})" * isinstance(location[-1], int))
         else:
             keys = getattr(model_at(model, location), "model_fields", {}) if item["type"] == "model_type" else {}
-            known = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
-            lines.append(f"{path}: {words(item, known)}")
+            names = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
+            lines.append(f"{path}: {words(item, names)}")
     if len(items) > MAX_PROBLEMS:
         lines.append(f"… and {len(items) - MAX_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines
@@ -224,18 +224,18 @@ def conditions_in(folder: StrPath = CONDITIONS) -> dict[str, Path]:
     """The detector files of a folder by their names, without their endings; `conditions` is the shipped folder. Raises
     InputError if there is no such folder, or no detector file in it."""
     place = data_folder("scenes") / "detectors" / CONDITIONS if str(folder) == CONDITIONS else Path(folder)
-    found = {path.stem: path for path in sorted(place.glob("*.yaml"))} if place.is_dir() else {}
-    if not found:
+    files = {path.stem: path for path in sorted(place.glob("*.yaml"))} if place.is_dir() else {}
+    if not files:
         wanted = f"give '{CONDITIONS}' for the shipped ones, or a folder with detector files (*.yaml)"
         raise InputError(f"detectors in {folder}", ["there are none: " + wanted])
-    return found
+    return files
 
 
 def find_condition(name: str, folder: StrPath = CONDITIONS) -> Path:
     """The detector file of a condition; see `conditions_in`. Raises InputError if there is none of this name."""
     files = conditions_in(folder)
     if name not in files:
-        alike = [known for known in files if name in known]
+        alike = [condition for condition in files if name in condition]
         hint = f"known: {', '.join(alike)}" if alike else nearest(name, files)
         raise InputError(f"detectors in {folder}", [f"there is no '{name}' ({hint})"])
     return files[name]

@@ -68,10 +68,10 @@ def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> 
     weights = np.ones((1 + replicates, len(images)))
     for source in np.unique(source_of_unit):
         units = np.flatnonzero(source_of_unit == source)
-        ours = np.flatnonzero(images.source == source)
-        place, chances = np.searchsorted(units, unit[ours]), np.full(len(units), 1 / len(units))
+        members = np.flatnonzero(images.source == source)
+        place, chances = np.searchsorted(units, unit[members]), np.full(len(units), 1 / len(units))
         for row in range(1, 1 + replicates):  # all at once would take three times the memory
-            weights[row, ours] = generator.multinomial(len(units), chances)[place]
+            weights[row, members] = generator.multinomial(len(units), chances)[place]
     return Resampling(weights, unit)
 
 
@@ -108,8 +108,8 @@ class Column:
         """Number of independent observations that spread like the replicates of a share or a rate, shape (...)."""
         value, count = self.estimate, np.maximum(self.counts, _MIN_SPREAD)
         alone = value / count if self.kind == "rate" else value * (1 - value) / count
-        found = spread(self.values[1:]) ** 2
-        inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
+        variance = spread(self.values[1:]) ** 2
+        inflation = np.where(alone > 0, np.maximum(variance / np.maximum(alone, 1e-300), 1.0), 1.0)
         return count / np.maximum(inflation, self.inflation)
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
@@ -167,9 +167,9 @@ def widened(values: Array, least: Array) -> Array:
     """Replicates (1 + replicates, ...) that spread at least as a standard error (...) from theory."""
     if len(values) == 1:
         return values
-    found = spread(values[1:])
-    usable = np.isfinite(found) & (found > 0) & np.isfinite(least)
-    factor = np.where(usable, np.maximum(least / np.where(usable, found, 1.0), 1.0), 1.0)
+    std = spread(values[1:])
+    usable = np.isfinite(std) & (std > 0) & np.isfinite(least)
+    factor = np.where(usable, np.maximum(least / np.where(usable, std, 1.0), 1.0), 1.0)
     return np.asarray(values[0] + factor * (values - values[0]))
 
 
@@ -258,8 +258,8 @@ def entries_of(value: object) -> Iterator[Entry]:
     if isinstance(value, Entry):
         yield value
     elif isinstance(value, tuple):
-        for each in value:
-            yield from entries_of(each)
+        for part in value:
+            yield from entries_of(part)
     elif is_dataclass(value):
         for field in fields(value):
             yield from entries_of(getattr(value, field.name))
@@ -274,7 +274,7 @@ def _changed(value: Any, change: Callable[[Entry], Entry]) -> Any:
     if isinstance(value, Entry):
         return change(value)
     if isinstance(value, tuple):
-        return tuple(_changed(each, change) for each in value)
+        return tuple(_changed(part, change) for part in value)
     if is_dataclass(value) and not isinstance(value, type):
         return replace(value, **{field.name: _changed(getattr(value, field.name), change) for field in fields(value)})
     return value
@@ -287,7 +287,7 @@ def digits(value: Any) -> float:
 
 def nested(values: Array) -> Any:
     """An array of any shape as nested lists of numbers in six digits; a number if it has no axes."""
-    return digits(values) if np.ndim(values) == 0 else [nested(each) for each in values]
+    return digits(values) if np.ndim(values) == 0 else [nested(row) for row in values]
 
 
 def columns_of_one(matrix: Array) -> Any:

@@ -176,10 +176,10 @@ class OneConfidenceForm:
         every = ObservedConfidences.join([ObservedConfidences.of(observed, kind) for kind in KINDS])
         learned = []
         for index, state in enumerate(observed.states):
-            ours = every.of_state(index)
-            ours = ours if len(ours) >= SCORES_NEEDED else every
+            scores = every.of_state(index)
+            scores = scores if len(scores) >= SCORES_NEEDED else every
             keys = LawKeys(("confidence",), state, observed.threshold)
-            learned.append(confidence_laws.normal_scores(ours, keys, None, resampling))
+            learned.append(confidence_laws.normal_scores(scores, keys, None, resampling))
         return confidence_laws.LearnedConfidenceOfAll(tuple(learned))
 
 
@@ -194,21 +194,21 @@ def choose_confidence(observed: Outcomes, scored: bool = False) -> ConfidenceFor
     chosen: dict[Kind, list[ScoreForm]] = {"true": [], "false": []}
     slopes: list[SlopeForm | None] = []
     for index, state in enumerate(observed.states):
-        ours = {kind: scores[kind].of_state(index) for kind in KINDS}
-        samples = {kind: ours[kind] if len(ours[kind]) >= SCORES_NEEDED else scores[kind] for kind in KINDS}
+        by_kind = {kind: scores[kind].of_state(index) for kind in KINDS}
+        samples = {kind: by_kind[kind] if len(by_kind[kind]) >= SCORES_NEEDED else scores[kind] for kind in KINDS}
         slopes.append(choose_slopes(observed, state, with_enough(samples), notes))
         fit = _normal_fit(samples, slopes[-1], observed)
         for place, kind in enumerate(KINDS):
-            if len(ours[kind]) < SCORES_NEEDED:
+            if len(by_kind[kind]) < SCORES_NEEDED:
                 chosen[kind].append("shared")
                 notes.append(
-                    f"states.{state}.confidence.{kind}: that of all states; had {len(ours[kind])} detections, "
+                    f"states.{state}.confidence.{kind}: that of all states; had {len(by_kind[kind])} detections, "
                     f"needs {SCORES_NEEDED}"
                 )
-            elif len(ours[kind]) < QUANTILES_NEEDED:
+            elif len(by_kind[kind]) < QUANTILES_NEEDED:
                 chosen[kind].append("normal")
             else:
-                far = _distance(ours[kind], fit, place, observed.threshold)
+                far = _distance(by_kind[kind], fit, place, observed.threshold)
                 chosen[kind].append("normal" if far < _NORMAL_ENOUGH else "quantiles")
     form = ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(slopes), ())
     confidence_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, form, notes)
@@ -221,10 +221,10 @@ def consecutive_scores(observed: Outcomes, learned: LearnedConfidence) -> Consec
     low, high = np.full(len(scores), np.nan), np.full(len(scores), np.nan)
     for index, (law, slopes) in enumerate(zip(learned.true, learned.slopes, strict=True)):
         rows = np.flatnonzero(scores.state == index)
-        ours = scores.take(rows)
-        if with_enough({"true": ours}):
-            shift = np.zeros(len(rows)) if slopes is None else -slopes.shift(ours)
-            latent = LatentScores.of(ours, law.law, shift, observed.threshold)
+        sample = scores.take(rows)
+        if with_enough({"true": sample}):
+            shift = np.zeros(len(rows)) if slopes is None else -slopes.shift(sample)
+            latent = LatentScores.of(sample, law.law, shift, observed.threshold)
             low[rows], high[rows] = latent.low, latent.high
     return ConsecutiveScores.of(observed, scores, LatentScores(low, high))
 
@@ -237,10 +237,10 @@ def _persistence_s(observed: Outcomes, form: ConfidenceForm, notes: list[str]) -
     form = replace(form, slopes=given)  # the likeliest reference changes little here, and takes a while to find
     consecutive = consecutive_scores(observed, form.laws(observed, resample(observed.labelled.images, 0, 0)))
     products = consecutive.products()
-    found = products.correlation()
-    if found.persists:
+    correlation = products.correlation()
+    if correlation.persists:
         return consecutive.time_s()
-    why = found.doubt if len(products) else "nothing has two true detections whose confidences vary"
+    why = correlation.doubt if len(products) else "nothing has two true detections whose confidences vary"
     notes.append(f"persistence.confidence_s: 0; {why}")
     return 0.0
 
@@ -266,12 +266,12 @@ def _distance(scores: ObservedConfidences, fit: SlopeFit | None, kind: int, thre
     low = np.where(scores.values <= threshold, 0.0, level)
     high = np.where(scores.values >= 1, 1.0, level)
     grid = np.linspace(0, 1, _LEVELS + 1)
-    known = np.searchsorted(np.sort(level[low == high]), grid, side="right")
+    counts = np.searchsorted(np.sort(level[low == high]), grid, side="right")
     wide = np.flatnonzero(low < high)
     part = np.zeros(len(grid))
     for k, at in enumerate(grid.tolist()):
         part[k] = np.clip((at - low[wide]) / (high[wide] - low[wide]), 0, 1).sum()
-    return float(np.abs((known + part) / len(level) - grid).max())
+    return float(np.abs((counts + part) / len(level) - grid).max())
 
 
 def _normal_distance(values: Array, threshold: float) -> float:

@@ -193,7 +193,7 @@ class _Point:
 
     def derivatives(self) -> list[tuple[Array, Array, Array]]:
         """Derivatives for each kind: terms by mean and standard deviation, (n, 2), (n, 2, 2), and by all (n, 2, p)."""
-        size, kinds, found = len(self.values), len(self.samples), []
+        size, kinds, triples = len(self.values), len(self.samples), []
         for k, (scores, quantiles) in enumerate(zip(self.samples, self.quantiles, strict=True)):
             mean, std = self.values[2 * k : 2 * k + 2]
             shift = shift_of(scores, self.slopes, self.form)
@@ -204,8 +204,8 @@ class _Point:
             by_all = np.zeros((len(scores), 2, size))
             by_all[:, 0, 2 * k] = by_all[:, 1, 2 * k + 1] = 1
             by_all[:, 0, 2 * kinds :] = _design(scores, self.slopes, self.form)
-            found.append((terms.first, terms.second, by_all))
-        return found
+            triples.append((terms.first, terms.second, by_all))
+        return triples
 
     def newton(self) -> tuple[Array, Array]:
         """Gradient (p,) and curvature (p, p) of the log-likelihood."""
@@ -299,19 +299,19 @@ def _refined(point: _Point) -> _Point:
         moved = _settled(replace(best, form=replace(best.form, log_reference=log_reference)))
         if moved is None:
             return -np.inf
-        found = moved.likelihood()
-        best = moved if found > best.likelihood() else best
-        return found
+        value = moved.likelihood()
+        best = moved if value > best.likelihood() else best
+        return value
 
     inner = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
-    found = [likelihood(each) for each in inner]
+    values = [likelihood(size) for size in inner]
     while high - low > _REFERENCE_SETTLED:
-        if found[0] > found[1]:
-            high, inner, found = inner[1], [inner[1] - _GOLDEN * (inner[1] - low), inner[0]], [np.nan, found[0]]
-            found[0] = likelihood(inner[0])
+        if values[0] > values[1]:
+            high, inner, values = inner[1], [inner[1] - _GOLDEN * (inner[1] - low), inner[0]], [np.nan, values[0]]
+            values[0] = likelihood(inner[0])
         else:
-            low, inner, found = inner[0], [inner[1], inner[0] + _GOLDEN * (high - inner[0])], [found[1], np.nan]
-            found[1] = likelihood(inner[1])
+            low, inner, values = inner[0], [inner[1], inner[0] + _GOLDEN * (high - inner[0])], [values[1], np.nan]
+            values[1] = likelihood(inner[1])
     return best
 
 
@@ -351,10 +351,10 @@ def likeliest_reference(
     candidates = (
         [*np.linspace(sizes[needed], sizes[-needed - 1], _SCANNED), largest] if len(sizes) > 2 * needed else [largest]
     )
-    found: list[tuple[float, SlopeForm]] = []
+    forms: list[tuple[float, SlopeForm]] = []
     for log_reference in candidates:
         tried = replace(form, log_reference=float(log_reference))
         point = _settled(_started(few, tried, threshold))
         if point is not None and point.slopes["size_slope"] > 0:
-            found.append((point.likelihood(), replace(tried, reference_fitted=log_reference != largest)))
-    return max(found, key=lambda each: each[0])[1] if found else form
+            forms.append((point.likelihood(), replace(tried, reference_fitted=log_reference != largest)))
+    return max(forms, key=lambda pair: pair[0])[1] if forms else form

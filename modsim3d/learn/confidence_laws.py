@@ -45,8 +45,8 @@ class Inflation:
         wide = float(special.stdtrit(count - 1, _LIKELY) / special.ndtri(_LIKELY)) ** 2 * count / (count - 1)
         deviation = values - values.mean()
         parts = (deviation, deviation**2 - deviation.var())
-        each = [(np.bincount(of_thing, part) ** 2).sum() / max((part**2).sum(), 1e-12) for part in parts]
-        return cls(*(max(float(wide * found), 1.0) for found in each))
+        ratios = [(np.bincount(of_thing, part) ** 2).sum() / max((part**2).sum(), 1e-12) for part in parts]
+        return cls(*(max(float(wide * ratio), 1.0) for ratio in ratios))
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,10 @@ class LearnedSlopes:
 
     def shift(self, scores: ObservedConfidences) -> Array:
         """Amount by which they lower each confidence, shape (n,)."""
-        found = {entry.key.names[-1]: float(entry.estimate) for entry in self.entries}
-        if "size_reference_px" in found:
-            found["size_reference_px"] = float(np.log2(found["size_reference_px"]))
-        return shift_of(scores, found, self.form)
+        numbers = {entry.key.names[-1]: float(entry.estimate) for entry in self.entries}
+        if "size_reference_px" in numbers:
+            numbers["size_reference_px"] = float(np.log2(numbers["size_reference_px"]))
+        return shift_of(scores, numbers, self.form)
 
     def section(self) -> dict[str, float]:
         """Their keys in the file."""
@@ -169,8 +169,8 @@ class LearnedConfidenceOfAll:
 
     def state_section(self, state: int) -> dict[str, Any]:
         """Mean and standard deviation; full confidence where nothing was detected, or no confidence is known."""
-        found = self.states[state].section() if self.states else {}
-        return {"confidence": found if "mean" in found else {"mean": 1.0, "std": 0.0}}
+        section = self.states[state].section() if self.states else {}
+        return {"confidence": section if "mean" in section else {"mean": 1.0, "std": 0.0}}
 
 
 def normal_scores(scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, resampling: Resampling) -> LearnedNormal:
@@ -233,9 +233,9 @@ class LatentScores:
             return cls(np.full(len(scores), np.nan), np.full(len(scores), np.nan))
         middle, least = (levels[0] + levels[1]) / 2, 0.5 / max(len(scores), 1)
         wide = levels[1] - levels[0] > _STEP
-        known = special.ndtri(np.clip(middle, least, 1 - least))
-        low = np.where(wide, special.ndtri(np.clip(levels[0], 0, 1 - least)), known)
-        high = np.where(wide, special.ndtri(np.clip(levels[1], least, 1)), known)
+        centre = special.ndtri(np.clip(middle, least, 1 - least))
+        low = np.where(wide, special.ndtri(np.clip(levels[0], 0, 1 - least)), centre)
+        high = np.where(wide, special.ndtri(np.clip(levels[1], least, 1)), centre)
         return cls(np.where(scores.values <= threshold, -np.inf, low), np.where(scores.values >= 1, np.inf, high))
 
     @property

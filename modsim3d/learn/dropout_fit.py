@@ -44,13 +44,13 @@ class EffectTerm:
 
     def of(self, values: Array) -> Array:
         """Units or doublings beyond the reference, 0 where the value is unknown, shape (n,)."""
-        known = np.where(np.isfinite(values), values, self.reference)
-        changed: Array = known - self.reference
-        return np.log2(np.maximum(known, 1.0) / self.reference) if self.doublings else changed
+        levels = np.where(np.isfinite(values), values, self.reference)
+        changed: Array = levels - self.reference
+        return np.log2(np.maximum(levels, 1.0) / self.reference) if self.doublings else changed
 
     def holds_in(self, states: int, effects: tuple[EffectTerm, ...]) -> Mask:
         """Mask of the states in which it holds beside other effects, shape (states,)."""
-        others = [each.state for each in effects if each.attribute == self.attribute and each.state is not None]
+        others = [term.state for term in effects if term.attribute == self.attribute and term.state is not None]
         numbers = np.arange(states)
         return ~np.isin(numbers, others) if self.state is None else numbers == self.state
 
@@ -210,11 +210,11 @@ def _mean_rates(
     rates = np.full((len(thetas), states, k), np.nan)
     count = int(usable.sum())
     for place, cell in enumerate(np.flatnonzero(usable)):
-        ours = observed.label == cell % k
-        x = amounts[ours] * holds[cell // k]
+        of_label = observed.label == cell % k
+        x = amounts[of_label] * holds[cell // k]
         chance = special.expit(thetas[0, place] + x @ thetas[0, count:])
         change = chance * (1 - chance)
-        sums = resampling.sums(observed.image[ours], np.column_stack([np.ones(len(chance)), chance]))
+        sums = resampling.sums(observed.image[of_label], np.column_stack([np.ones(len(chance)), chance]))
         moved = thetas - thetas[0]
         slope = moved[:, place] * change.mean() + moved[:, count:] @ (change[:, None] * x).mean(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -253,9 +253,9 @@ def behaves_like_a_score(observed: Outcomes, chance: Array, notes: list[str]) ->
     level = np.full(len(observed.rows), np.nan)
     confidence = observed.labelled.results.confidence[observed.detection[observed.found]]
     for state in range(len(observed.states)):
-        ours = observed.state[observed.found] == state
-        rank = np.argsort(np.argsort(confidence[ours], kind="stable"))
-        level[observed.found[ours]] = (rank + 0.5) / max(int(ours.sum()), 1)
+        in_state = observed.state[observed.found] == state
+        rank = np.argsort(np.argsort(confidence[in_state], kind="stable"))
+        level[observed.found[in_state]] = (rank + 0.5) / max(int(in_state.sum()), 1)
     earlier, later = observed.steps.earlier, observed.steps.later
     known = np.isfinite(level[earlier])
     lost = known & (observed.missed[later] > 0)
@@ -264,11 +264,11 @@ def behaves_like_a_score(observed: Outcomes, chance: Array, notes: list[str]) ->
         return False
     p = float(chance[earlier[lost]].mean())
     correlation = _correlation_of_losses(float(observed.missed[later[known]].mean()), p)
-    expected, found = _mean_level_before_a_miss(p, correlation), float(level[earlier[lost]].mean())
-    if found < (0.5 + expected) / 2:
+    expected, mean = _mean_level_before_a_miss(p, correlation), float(level[earlier[lost]].mean())
+    if mean < (0.5 + expected) / 2:
         return True
     notes.append(
-        f"persistence.score: none; detections before a miss are surer than {in_percent(found)} of all, with a score "
+        f"persistence.score: none; detections before a miss are surer than {in_percent(mean)} of all, with a score "
         f"than {in_percent(expected)}"
     )
     return False
@@ -312,9 +312,9 @@ def learned_score(observed: Outcomes, chance: Array, slopes: int, resampling: Re
     """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag. Times of the
     autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory that only fades,
     and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test."""
-    times_s, found = lags.memory_shares(miss_lags(observed, chance, slopes), lags.latent_share(chance), resampling)
+    times_s, column = lags.memory_shares(miss_lags(observed, chance, slopes), lags.latent_share(chance), resampling)
     path = ("persistence", "score")
-    kept, shares = (lags.replace_values(found, values) for values in (found.values[:, 0], found.values[:, 1:]))
+    kept, shares = (lags.replace_values(column, values) for values in (column.values[:, 0], column.values[:, 1:]))
     place = np.searchsorted(lags.LATENT_SHARES, min(float(kept.estimate), lags.LATENT_SHARES[-1]))
     return LearnedScore(
         Entry(Key((*path, "vessel_share")), kept),
@@ -333,8 +333,8 @@ def label_memory_s(observed: Outcomes) -> float:
     both = (detected_label[earlier] < labels) & (detected_label[later] < labels)
     cell = observed.state * labels + observed.label
     counts = np.zeros((len(observed.states) * labels, labels))
-    found = detected_label < labels
-    np.add.at(counts, (cell[found], detected_label[found]), 1)
+    hits = detected_label < labels
+    np.add.at(counts, (cell[hits], detected_label[hits]), 1)
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     by_chance = float((shares[cell[later[both]]] ** 2).sum(axis=1).mean()) if both.any() else 1.0
     if by_chance >= 1 - 1e-9:

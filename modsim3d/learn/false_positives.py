@@ -36,8 +36,8 @@ class FalsePositiveForm:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
         sightings, lasting = observed.false_sightings, None
         if self.lifetime_s:
-            found = find_lifetime(observed, _mean_number(observed, self.model), known=True)
-            lasting = found if isinstance(found, LifetimeFit) else None
+            fit = find_lifetime(observed, _mean_number(observed, self.model), known=True)
+            lasting = fit if isinstance(fit, LifetimeFit) else None
         inflation = lasting.inflation if lasting else 1.0
         return LearnedFalsePositives(
             self,
@@ -166,12 +166,12 @@ def _placing(observed: Outcomes, worth: tuple[float, float], notes: list[str]) -
         notes.append(f"{where} {uniform}; had {false:,} false positives, needs {FALSE_NEEDED}")
         return "uniform"
     if not known:
-        said = "the horizon of some images is not known (--horizon)"
+        reason = "the horizon of some images is not known (--horizon)"
         if false < needed:
-            said = f"{said}, and a map needs {needed:,} false positives, had {false:,}"
-            notes.append(f"{where} {uniform}; {said}")
+            reason = f"{reason}, and a map needs {needed:,} false positives, had {false:,}"
+            notes.append(f"{where} {uniform}; {reason}")
             return "uniform"
-        notes.append(f"{where} a map; {said}")
+        notes.append(f"{where} a map; {reason}")
         return "density"
     placing, gain = PlaceFit(sightings, *worth).choose()
     deep = np.quantile(sightings.depth_px, 0.9)
@@ -199,8 +199,8 @@ def _mean_number(observed: Outcomes, model: str) -> Array:
         follows = _in_images(observed, observed.true)
     expected = np.zeros(images)
     for state in range(len(observed.states)):
-        ours = observed.image_state == state
-        expected[ours] = follows[ours] * false[ours].sum() / max(follows[ours].sum(), 1.0)
+        in_state = observed.image_state == state
+        expected[in_state] = follows[in_state] * false[in_state].sum() / max(follows[in_state].sum(), 1.0)
     return expected
 
 
@@ -209,13 +209,13 @@ def _likelier(observed: Outcomes, notes: list[str]) -> str:
     false, true = _in_images(observed, observed.false), _in_images(observed, observed.true)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):
-        ours = observed.image_state == state
-        total, n_true, n_images = false[ours].sum(), true[ours].sum(), ours.sum()
+        in_state = observed.image_state == state
+        total, n_true, n_images = false[in_state].sum(), true[in_state].sum(), in_state.sum()
         if total == 0:
             continue
         # Matching may leave a few false positives where nothing else is: they do not decide it alone.
-        expected = total * ((1 - _ASTRAY) * (true[ours] / max(n_true, 1.0)) + _ASTRAY / n_images)
-        with_true += float((false[ours] * np.log(expected)).sum())
+        expected = total * ((1 - _ASTRAY) * (true[in_state] / max(n_true, 1.0)) + _ASTRAY / n_images)
+        with_true += float((false[in_state] * np.log(expected)).sum())
         even += float(total * np.log(total / n_images))
     if even <= with_true:
         return "calibrated"

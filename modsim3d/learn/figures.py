@@ -75,12 +75,12 @@ class Ranking:
 
     def curve(self, weights: Array | None = None) -> Curve | None:
         """The curve under weights of images, shape (I,), all one if None; None if there is nothing to detect."""
-        each = np.ones(len(self.image)) if weights is None else weights[self.image]
+        counts = np.ones(len(self.image)) if weights is None else weights[self.image]
         total = len(self.annotation_image) if weights is None else float(weights[self.annotation_image].sum())
         if total <= 0:
             return None
-        right = np.cumsum(np.where(self.right, each, 0.0))
-        every = np.cumsum(each)
+        right = np.cumsum(np.where(self.right, counts, 0.0))
+        every = np.cumsum(counts)
         some = every > 0
         return Curve(right[some] / total, right[some] / every[some], self.confidence[some])
 
@@ -204,11 +204,11 @@ class Matches:
             errors=moments,
             error_covariance=moments.covariance(),
             errors_of_labels=tuple(
-                ErrorMoments.of(self.resampling, found_in[label == each], errors[label == each]) for each in range(k)
+                ErrorMoments.of(self.resampling, found_in[label == index], errors[label == index]) for index in range(k)
             ),
             average_precision=by_label,
             mean_average_precision=by_label
-            and AveragePrecisions(*(_average(each, np.ones_like(each.values), each.counts.sum()) for each in by_label)),
+            and AveragePrecisions(*(_average(area, np.ones_like(area.values), area.counts.sum()) for area in by_label)),
             confidence_entropy=self._confidence_entropy(images),
             label_entropy=self._label_entropy(images),
         )
@@ -216,11 +216,11 @@ class Matches:
     def _errors(self, images: Mask) -> tuple[Indices, Indices, Array]:
         """Image (m,), true label (m,) and box error (m, 4) of each match."""
         results, annotations = self.labelled.results, self.labelled.annotations
-        found, annotation = self.matched.pairs
-        ours = images[results.image[found]]
-        found, annotation = found[ours], annotation[ours]
-        errors = errors_between(results.boxes_px[found], annotations.boxes_px[annotation])
-        return results.image[found], annotations.label[annotation], errors
+        detection, annotation = self.matched.pairs
+        inside = images[results.image[detection]]
+        detection, annotation = detection[inside], annotation[inside]
+        errors = errors_between(results.boxes_px[detection], annotations.boxes_px[annotation])
+        return results.image[detection], annotations.label[annotation], errors
 
     def _average_precision(self, images: Mask) -> AveragePrecisions | None:
         if self.by_label is None:
@@ -272,9 +272,9 @@ def confusion_counts(labelled: LabelledSet, matched: Matching, resampling: Resam
 
 def _average(column: Column, weights: Array, count: float) -> Column:
     """Mean over labels that are there, under weights (rows, k), that rests on so many annotations."""
-    there = np.isfinite(column.values)
-    weights = np.where(there, weights, 0.0)
-    filled = np.where(there, column.values, 0.0)
+    finite = np.isfinite(column.values)
+    weights = np.where(finite, weights, 0.0)
+    filled = np.where(finite, column.values, 0.0)
     return Column(ratio((filled * weights).sum(axis=1), weights.sum(axis=1)), "fraction", np.array(count))
 
 
@@ -374,8 +374,8 @@ def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask, rule: Rule) -> 
         place = np.where(good, _FITS, np.where(_is_near(labelled, detection, target, rule), _NEAR, _FAR))
         equal = results.label[detection] == annotations.label[target]
         for same, (where, how) in best.items():
-            ours = np.flatnonzero((equal == same) & (place > _FAR))
-            order = ours[np.lexsort((quality[ours], place[ours]))]
+            pairs = np.flatnonzero((equal == same) & (place > _FAR))
+            order = pairs[np.lexsort((quality[pairs], place[pairs]))]
             where[first[order]], how[first[order]] = target[order], place[order]  # the last, best one stays
     return _NearestMatches(*best[True], *best[False])
 

@@ -47,15 +47,15 @@ class ConditionChange:
         if first.box_error.unit != second.box_error.unit:
             problem = f"its box errors are in {second.box_error.unit}, and those of {before[0]} {first.box_error.unit}"
             raise InputError(f"condition {after[0]}", [problem])
-        found, now_found = (1 - float(state.confusion[-1, 0]) for state in (first, second))
+        recall, now_found = (1 - float(state.confusion[-1, 0]) for state in (first, second))
         false_odds = _odds(second.false_discovery_rate) / _odds(first.false_discovery_rate)
         variances = np.diag(second.box_error.covariance) / np.diag(first.box_error.covariance)
         pairs = ((second.confidence.true, first.confidence.true), (second.confidence.false, first.confidence.false))
         true, false = (_log_odds(_mean(now)) - _log_odds(_mean(then)) for now, then in pairs)
         return cls(
-            miss_odds=_odds(1 - now_found) / _odds(1 - found),
+            miss_odds=_odds(1 - now_found) / _odds(1 - recall),
             false_odds=false_odds,
-            false_per_image=false_odds * now_found / found,
+            false_per_image=false_odds * now_found / recall,
             spread=np.sqrt(variances),
             confidence=(true, false),
         )
@@ -140,8 +140,8 @@ def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "
 
 def _check_condition(name: str, model: DetectorModel) -> None:
     if len(model.states) != 1 or len(model.labels) != 1:
-        found = f"{len(model.states)} states and {len(model.labels)} labels"
-        raise InputError(f"condition {name}", [f"a condition is a detector with one state and one label (got {found})"])
+        count = f"{len(model.states)} states and {len(model.labels)} labels"
+        raise InputError(f"condition {name}", [f"a condition is a detector with one state and one label (got {count})"])
     state = model.states[0]
     numbers = {
         "probability of a miss": state.confusion[-1, 0],
@@ -163,10 +163,10 @@ def _check_condition(name: str, model: DetectorModel) -> None:
 def _state(state: Mapping[str, Any], change: ConditionChange, where: str) -> dict[str, Any]:
     confusion = np.array(state["confusion"], dtype=np.float64)
     missed = _with_odds(confusion[-1], change.miss_odds)
-    found = np.where(confusion[-1] < 1, (1 - missed) / np.maximum(1 - confusion[-1], np.finfo(float).tiny), 0)
+    factor = np.where(confusion[-1] < 1, (1 - missed) / np.maximum(1 - confusion[-1], np.finfo(float).tiny), 0)
     result = {
         **state,
-        "confusion": columns_of_one(np.vstack([confusion[:-1] * found, missed])),
+        "confusion": columns_of_one(np.vstack([confusion[:-1] * factor, missed])),
         "box_error": _box_error(state["box_error"], change.spread),
         "confidence": _confidence(state["confidence"], change.confidence, where),
     }

@@ -45,11 +45,11 @@ class LagTable:
         are from means of groups (n,), and from so many other numbers that were `fitted`."""
         image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
         time_s, sequence = labelled.images.time_s[image], labelled.images.sequence[image]
-        known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
-        number = sequence[known] * (identity.max(initial=0) + 1) + identity[known]
+        sightings = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
+        number = sequence[sightings] * (identity.max(initial=0) + 1) + identity[sightings]
         series = np.unique(number, return_inverse=True)[1]
-        order = np.lexsort((time_s[known], series))
-        place, series = known[order], series[order]
+        order = np.lexsort((time_s[sightings], series))
+        place, series = sightings[order], series[order]
         count = np.bincount(series)
         columns: list[tuple[Any, ...]] = []
         lag_s: list[float] = []
@@ -60,11 +60,11 @@ class LagTable:
             apart_s = time_s[later] - time_s[earlier]
             columns.append((products, same, apart_s, np.full(len(near), len(lag_s)), series[near], image[later]))
             lag_s.append(float(np.median(apart_s)))
-        joined = [np.concatenate(each) for each in zip(*columns, strict=True)] or [np.empty(0)] * 6
+        joined = [np.concatenate(parts) for parts in zip(*columns, strict=True)] or [np.empty(0)] * 6
         products, same, apart_s, lag, thing, images = joined
-        cells, ours = np.unique(np.column_stack([group[place], series]), axis=0, return_counts=True)
-        whole = np.bincount(cells[:, 0], ours)[cells[:, 0]]
-        crowding = min(float((ours**2 / whole).sum()) / max(len(place), 1) + fitted / max(len(count), 1), 0.9)
+        cells, sizes = np.unique(np.column_stack([group[place], series]), axis=0, return_counts=True)
+        whole = np.bincount(cells[:, 0], sizes)[cells[:, 0]]
+        crowding = min(float((sizes**2 / whole).sum()) / max(len(place), 1) + fitted / max(len(count), 1), 0.9)
         indices = lag.astype(np.int64), thing.astype(np.int64), images.astype(np.int64)
         return cls(products, same, apart_s, *indices, np.array(lag_s), len(count), crowding)
 
@@ -86,10 +86,10 @@ class LagTable:
         """Ratios of that kind without each of the things, shape (things, b)."""
         shape = self.things, len(self.lag_s)
         cell = self.thing * shape[1] + self.lag
-        each = np.stack(
+        sums = np.stack(
             [np.bincount(cell, column, minlength=shape[0] * shape[1]) for column in (self.products, self.same)], axis=-1
         ).reshape(*shape, 2)
-        return _ratios(each.sum(axis=0) - each)
+        return _ratios(sums.sum(axis=0) - sums)
 
     @cached_property
     def weight(self) -> Array:
@@ -105,17 +105,17 @@ class LagTable:
         taken = (self.crowding * level / (1 - self.crowding * (1 - level)))[:, None]
         return ratios * (1 - taken) + taken
 
-    def _fits(self, found: Array) -> Fits:
+    def _fits(self, ratios: Array) -> Fits:
         """Least squares over the lags, weighed by how many things have each; ratios have shape (rows, b)."""
         whole, weight = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64), self.weight
         grid = np.geomspace(0.2 * self.lag_s[0], max(self.lag_s[-1] / _LONG, self.lag_s[0]), _GRID)
         kept = self._decay(grid, whole)
         lost = 1 - kept
-        level = (found @ (weight * lost).T - (weight * lost * kept).sum(axis=1)) / (weight * lost**2).sum(axis=1)
+        level = (ratios @ (weight * lost).T - (weight * lost * kept).sum(axis=1)) / (weight * lost**2).sum(axis=1)
         level = np.clip(level, 0, _MAX_LEVEL)
-        misfit = (weight * (found[:, None] - kept - level[..., None] * lost) ** 2).sum(axis=-1)
+        misfit = (weight * (ratios[:, None] - kept - level[..., None] * lost) ** 2).sum(axis=-1)
         best = misfit.argmin(axis=1)
-        rows, inner = np.arange(len(found)), np.clip(best, 1, _GRID - 2)
+        rows, inner = np.arange(len(ratios)), np.clip(best, 1, _GRID - 2)
         below, here, above = (misfit[rows, inner + k] for k in (-1, 0, 1))
         bend = below - 2 * here + above
         move = np.where(bend > 0, np.clip((below - above) / np.where(bend > 0, 2 * bend, 1), -1, 1), 0)
@@ -211,7 +211,7 @@ def latent_share(chance: Array) -> Callable[[Array], Array]:
     """Function from the correlation of misses to the share of the latent normal number that things keep. With a share s
     two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal number of p and T
     the function of Owen (1956), "Tables for computing bivariate normal probabilities"."""
-    return lambda found: np.interp(found, level_of(chance), LATENT_SHARES)
+    return lambda correlation: np.interp(correlation, level_of(chance), LATENT_SHARES)
 
 
 def level_of(chance: Array) -> Array:
@@ -232,11 +232,11 @@ def memory_shares(table: LagTable, latent: Callable[[Array], Array], resampling:
     first = float(table.lag_s[0])
     parts = 1 + int(np.log(max(table.lag_s[-1] / _MIN_TIMES / first, 1.0)) / np.log(_TIMES_APART))
     times_s = first * np.array([_TIMES_APART**part for part in range(parts)])
-    found, without = (
+    shares, without = (
         _shares(table, latent(table.uncrowded(ratios)), times_s)
         for ratios in (table.ratios(resampling), table.ratios_without_each())
     )
-    values = widened(found, jackknife(without))
+    values = widened(shares, jackknife(without))
     return times_s, Column(values, "capped", np.full(values.shape[1:], float(table.things)))
 
 

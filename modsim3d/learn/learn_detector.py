@@ -36,11 +36,11 @@ def gate_warning(labelled: LabelledSet, matched: Matching, rule: Rule) -> str | 
     if labelled.results.origin is not None:
         return _of_own_vessels(labelled, matched, rule, labelled.results.origin, recall)
     missed = matched.sought & (matched.detection < 0)
-    near, found = len(_overlapped(labelled, np.flatnonzero(missed), matched.false)), len(matched.pairs[0])
-    if near <= _MAX_SHARE * (near + found):
+    near, matches = len(_overlapped(labelled, np.flatnonzero(missed), matched.false)), len(matched.pairs[0])
+    if near <= _MAX_SHARE * (near + matches):
         return None
     return (
-        f"{near:,} of {np.count_nonzero(missed):,} missed annotations overlap a false positive, and only {found:,} "
+        f"{near:,} of {np.count_nonzero(missed):,} missed annotations overlap a false positive, and only {matches:,} "
         f"detections match: if those boxes are meant for each other, {recall} counts them as missed. Use --match "
         "centre:PX with a distance that is large against the errors of the boxes"
     )
@@ -60,13 +60,13 @@ def _of_own_vessels(labelled: LabelledSet, matched: Matching, rule: Rule, origin
 
 def _overlapped(labelled: LabelledSet, annotations: Indices, detections: Indices) -> Indices:
     """Annotations that a detection overlaps, among some of both; all rows in the order of their images."""
-    results, there = labelled.results, labelled.annotations
-    found = [annotations[:0]]
-    for first, second in image_pairs(results.image[detections], there.image[annotations], len(labelled.images)):
+    results, truth = labelled.results, labelled.annotations
+    parts = [annotations[:0]]
+    for first, second in image_pairs(results.image[detections], truth.image[annotations], len(labelled.images)):
         row, target = detections[first], annotations[second]
-        touching = overlap(results.boxes_px[row], there.boxes_px[target], there.crowd[target]) > 0
-        found.append(np.unique(target[touching]))
-    return np.unique(np.concatenate(found))
+        touching = overlap(results.boxes_px[row], truth.boxes_px[target], truth.crowd[target]) > 0
+        parts.append(np.unique(target[touching]))
+    return np.unique(np.concatenate(parts))
 
 
 MIN_CONFIDENCE = 0.2  # least confidence of a detection that counts, unless another is asked for
@@ -176,8 +176,8 @@ def _f1(labelled: LabelledSet, matched: Matching, images: Mask) -> float:
 def _figures_of_conditions(matches: Matches) -> list[Figures]:
     """The figures of conditions that have images, the largest F1 first."""
     condition, names = matches.labelled.images.condition, matches.labelled.conditions
-    found = [matches.figures(name, condition == k) for k, name in enumerate(names) if np.any(condition == k)]
-    return sorted(found, key=lambda each: -float(np.nan_to_num(each.any_label.f1.estimate)))
+    figures = [matches.figures(name, condition == k) for k, name in enumerate(names) if np.any(condition == k)]
+    return sorted(figures, key=lambda row: -float(np.nan_to_num(row.any_label.f1.estimate)))
 
 
 def _transitions(observed: Outcomes, options: LearnOptions) -> Transitions:
@@ -202,13 +202,13 @@ def _remarks(observed: Outcomes) -> Iterator[str]:
             "the detections have no confidences (-1): all of them count, average precision and the other figures that "
             "need confidences are left out, and the detector file gives every detection a confidence of 1"
         )
-    labelled, (found, annotation) = observed.labelled, observed.matched.pairs
+    labelled, (detection, annotation) = observed.labelled, observed.matched.pairs
     if observed.threshold == labelled.dropped_below > 0:
         yield (
             f"the run's operating_threshold dropped detections below {observed.threshold:g}: the rates are those from "
             "there on, and it is the detector file's confidence_threshold"
         )
-    shift = labelled.results.label[found] - labelled.annotations.label[annotation]
+    shift = labelled.results.label[detection] - labelled.annotations.label[annotation]
     for step, where in ((1, "after"), (-1, "before")):
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             yield (
@@ -342,7 +342,7 @@ def parse_states(given: int | Mapping[str, Sequence[str]] | Sequence[str] | None
         return {"clusters": given}
     if isinstance(given, Mapping):
         named = {name: [of] if isinstance(of, str) else of for name, of in given.items()}
-        if all(isinstance(of, Sequence) and all(isinstance(each, str) for each in of) for of in named.values()):
+        if all(isinstance(of, Sequence) and all(isinstance(entry, str) for entry in of) for of in named.values()):
             return {"states": tuple(f"{name}={','.join(of)}" for name, of in named.items())}
     needed = "a number of states from 1, or a mapping from states to lists of conditions, is needed"
     raise InputError(caller, [f"states: {needed} (got {shown(given)})"])

@@ -250,11 +250,11 @@ def unknown_numbers(observed: Outcomes, numbers: LearnedDetector) -> dict[tuple[
 
 def barely_matched(observed: Outcomes) -> Indices:
     """Number of matches in each state whose IoU is near the least one; none by other rules than IoU."""
-    found, annotation = observed.matched.pairs
+    detection, annotation = observed.matched.pairs
     rule, labelled = observed.pairs.edges.rule, observed.labelled
     if rule.method not in ("confidence", "optimal"):
         return np.zeros(len(observed.states), dtype=np.int64)
-    overlap = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation])
+    overlap = iou(labelled.results.boxes_px[detection], labelled.annotations.boxes_px[annotation])
     state = observed.image_state[labelled.annotations.image[annotation[overlap < rule.least_iou + NEAR_THE_GATE]]]
     return np.bincount(state[state >= 0], minlength=len(observed.states))
 
@@ -378,8 +378,8 @@ def _width(entry: bootstrap.Entry) -> dict[str, Any]:
     column = entry.column
     if column.kind in COUNTED:
         return {"observations": bootstrap.nested(column.independent)}
-    found = bootstrap.spread(_without_outliers(bootstrap.to_scale(column.values[1:], column.kind)))
-    return {"spread": bootstrap.nested(np.where(np.isfinite(found), found, 0.0))}
+    spread = bootstrap.spread(_without_outliers(bootstrap.to_scale(column.values[1:], column.kind)))
+    return {"spread": bootstrap.nested(np.where(np.isfinite(spread), spread, 0.0))}
 
 
 def _without_outliers(scaled: Array) -> Array:
@@ -421,8 +421,8 @@ def _replicates(entry: bootstrap.Entry) -> Array:
 
 def _standard(values: Array) -> Array:
     """Values (n,) with mean zero and standard deviation one, 0 where they are not finite or all are equal."""
-    known = np.isfinite(values)
-    if not known.any() or np.ptp(values[known]) == 0:
+    finite = np.isfinite(values)
+    if not finite.any() or np.ptp(values[finite]) == 0:
         return np.zeros(len(values))
-    moved = np.where(known, values - values[known].mean(), 0.0)
+    moved = np.where(finite, values - values[finite].mean(), 0.0)
     return np.asarray(moved / moved.std(ddof=1))

@@ -249,5 +249,5 @@ def _learned(truth: Any, detections: Any, run: Any, states: Any, sequence: Any, 
 def _paths(given: Paths | None, name: str) -> list[Path]:
     if given is None:
         return []
-    each = [given] if isinstance(given, str | bytes | os.PathLike) or not isinstance(given, Iterable) else given
-    return [as_path(path, name, "a path or a list of paths") for path in each]
+    paths = [given] if isinstance(given, str | bytes | os.PathLike) or not isinstance(given, Iterable) else given
+    return [as_path(path, name, "a path or a list of paths") for path in paths]

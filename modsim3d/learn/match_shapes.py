@@ -60,12 +60,12 @@ class FalseBoxes(Columns):
 
     def pairs(self, sought: SoughtBoxes) -> tuple[Indices, Indices]:
         """Places of these and of annotations in the same image that overlap, shapes (m,)."""
-        found = [np.empty((2, 0), dtype=np.int64)]
+        pairs = [np.empty((2, 0), dtype=np.int64)]
         images = int(max(self.image.max(initial=-1), sought.image.max(initial=-1))) + 1
         for first, second in image_pairs(self.image, sought.image, images):
             near = intersections(self.boxes_px[first], sought.boxes_px[second]) > 0
-            found.append(np.stack([first[near], second[near]]))
-        first, second = np.concatenate(found, axis=1)
+            pairs.append(np.stack([first[near], second[near]]))
+        first, second = np.concatenate(pairs, axis=1)
         return first, second
 
 
@@ -118,11 +118,11 @@ def _twos(group: Indices) -> tuple[Indices, Indices]:
     """All pairs of places with the same group (n,) of at least 0."""
     order = np.argsort(group, kind="stable")
     order = order[group[order] >= 0]
-    ordered, found = group[order], [np.empty((2, 0), dtype=np.int64)]
+    ordered, pairs = group[order], [np.empty((2, 0), dtype=np.int64)]
     for apart in range(1, int(np.bincount(ordered, minlength=1).max())):
         first = np.flatnonzero(ordered[apart:] == ordered[:-apart])
-        found.append(np.stack([order[first], order[first + apart]]))
-    a, b = np.concatenate(found, axis=1)
+        pairs.append(np.stack([order[first], order[first + apart]]))
+    a, b = np.concatenate(pairs, axis=1)
     return a, b
 
 
@@ -174,11 +174,11 @@ class OverlapPairs(Columns):
     @classmethod
     def of(cls, sought: SoughtBoxes, least_share: float) -> OverlapPairs:
         """All pairs of which so much of the smaller lies in the larger."""
-        found = [np.empty((2, 0), dtype=np.int64)]
+        parts = [np.empty((2, 0), dtype=np.int64)]
         for first, second in image_pairs(sought.image, sought.image, int(sought.image.max(initial=-1)) + 1):
             near = (first < second) & (intersections(sought.boxes_px[first], sought.boxes_px[second]) > 0)
-            found.append(np.stack([first[near], second[near]]))
-        pairs = np.concatenate(found, axis=1)
+            parts.append(np.stack([first[near], second[near]]))
+        pairs = np.concatenate(parts, axis=1)
         area = areas(sought.boxes_px)[pairs]
         larger, smaller = np.where(area[1] > area[0], pairs[::-1], pairs)
         a_px, b_px = sought.boxes_px[larger], sought.boxes_px[smaller]
@@ -189,7 +189,7 @@ class OverlapPairs(Columns):
     def fits(self, sought: SoughtBoxes, pair: Indices, boxes_px: Array) -> tuple[Mask, Array]:
         """Whether boxes (..., 4) fit the box around pairs (...) and better than either; and their IoU with it."""
         together = iou(boxes_px, self.union_px[pair])
-        alone = (iou(boxes_px, sought.boxes_px[each[pair]]) for each in (self.larger, self.smaller))
+        alone = (iou(boxes_px, sought.boxes_px[member[pair]]) for member in (self.larger, self.smaller))
         fits: Mask = (together >= MIN_FIT) & (together > np.maximum(*alone))
         return fits, together
 
@@ -221,7 +221,7 @@ def common_boxes(sought: SoughtBoxes, loose: FalseBoxes, pairs: OverlapPairs, fr
     pair = np.concatenate([alone[fits], empty[free_fits]])
     row = np.concatenate([sought.row[owner[fits]], loose.row[first[free_fits]]])
     quality = np.concatenate([quality[fits], free_quality[free_fits]])
-    kept = best_of(quality, row, *(~each for each in (pairs.larger[pair], pairs.smaller[pair])))
+    kept = best_of(quality, row, *(~member for member in (pairs.larger[pair], pairs.smaller[pair])))
     return CommonBoxes(pair[kept], row[kept], one_box)
 
 
@@ -279,11 +279,11 @@ def pair_trials(
     free = pairs.share > _most(sought, pairs, is_merged)
     detected = sought.found.copy()
     detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True
-    told = pairs.share > _most(sought, pairs, ~unambiguous & (detected[pairs.larger] != detected[pairs.smaller]))
+    clear = pairs.share > _most(sought, pairs, ~unambiguous & (detected[pairs.larger] != detected[pairs.smaller]))
     both = detected[pairs.larger] & detected[pairs.smaller]
     apart = detected[pairs.larger] & free & ~is_merged & (both | ~one_box)
     single = one_box & free & ~both & ~is_merged
-    chosen = unambiguous & told & (is_merged | apart | single)
+    chosen = unambiguous & clear & (is_merged | apart | single)
     hits = np.where(apart, 0.0, hits)
     weight = np.where(apart | (single & detected[pairs.larger]), 1.0, hits)
     chance, vessels = np.where(apart, 0.0, chance), np.column_stack([rows[pairs.larger], rows[pairs.smaller]])
@@ -293,6 +293,6 @@ def pair_trials(
 def _most(sought: SoughtBoxes, pairs: OverlapPairs, chosen: Mask) -> Array:
     """The largest overlap of either vessel of each pair in chosen pairs, 0 without one, shape (p,)."""
     most = np.zeros(len(sought))
-    for each in (pairs.larger, pairs.smaller):
-        np.maximum.at(most, each[chosen], pairs.share[chosen])
+    for member in (pairs.larger, pairs.smaller):
+        np.maximum.at(most, member[chosen], pairs.share[chosen])
     return np.maximum(most[pairs.larger], most[pairs.smaller])

@@ -50,24 +50,24 @@ class Recognition:
         lonely = sought.found & whole
         touching = OverlapPairs.of(sought, 1e-9)
         lonely[touching.larger] = lonely[touching.smaller] = False
-        known = np.flatnonzero(lonely)
-        count = min(_NEIGHBOURS, len(known))
-        if len(known) < _LONELY_NEEDED or not len(pairs):
+        rows = np.flatnonzero(lonely)
+        count = min(_NEIGHBOURS, len(rows))
+        if len(rows) < _LONELY_NEEDED or not len(pairs):
             return cls(np.ones((2, len(pairs))), np.zeros(len(pairs)))
-        sides = np.tile(np.maximum(sizes(sought.boxes_px[known]), 1.0), 2)
-        errors = errors_between(sought.match_px[known], sought.boxes_px[known]) / sides
+        sides = np.tile(np.maximum(sizes(sought.boxes_px[rows]), 1.0), 2)
+        errors = errors_between(sought.match_px[rows], sought.boxes_px[rows]) / sides
         order = np.argsort(sides[:, :2].prod(axis=1), kind="stable")
         errors, area = errors[order], sides[order, :2].prod(axis=1)
 
         def share_that_fits(boxes_px: Array) -> Array:
             """Share of boxes (p, 4) with such errors that fit the box around the pair, shape (p,)."""
-            ours = np.tile(np.maximum(sizes(boxes_px), 1.0), 2)
-            start = np.clip(np.searchsorted(area, ours[:, :2].prod(axis=1)) - count // 2, 0, len(area) - count)
-            drawn = move(boxes_px[:, None], errors[start[:, None] + np.arange(count)] * ours[:, None])
+            box_sides = np.tile(np.maximum(sizes(boxes_px), 1.0), 2)
+            start = np.clip(np.searchsorted(area, box_sides[:, :2].prod(axis=1)) - count // 2, 0, len(area) - count)
+            drawn = move(boxes_px[:, None], errors[start[:, None] + np.arange(count)] * box_sides[:, None])
             pair = np.broadcast_to(np.arange(len(pairs))[:, None], drawn.shape[:2])
             return np.asarray(pairs.fits(sought, pair, drawn)[0].mean(axis=1))
 
-        mistaken = np.stack([share_that_fits(sought.boxes_px[each]) for each in (pairs.larger, pairs.smaller)])
+        mistaken = np.stack([share_that_fits(sought.boxes_px[member]) for member in (pairs.larger, pairs.smaller)])
         return cls(mistaken, share_that_fits(pairs.union_px))
 
 
@@ -96,9 +96,9 @@ def shuffled(loose: FalseBoxes, images: Images) -> Iterator[FalseBoxes]:
             room = width - sizes(boxes)[:, 0]
             x = (boxes[:, 0] + room * (k + 1) / (SHUFFLES + 2)) % np.maximum(room, 1e-9)
             boxes = boxes + np.where((room > 0) & np.isfinite(x), x - boxes[:, 0], 0.0)[:, None] * [1, 0, 1, 0]
-        there, kept = other[loose.image], np.flatnonzero(step[loose.image])  # too few frames have their own vessels
-        kept = kept[np.argsort(there[kept], kind="stable")]
-        yield FalseBoxes(loose.row[kept], there[kept], boxes[kept])
+        image, kept = other[loose.image], np.flatnonzero(step[loose.image])  # too few frames have their own vessels
+        kept = kept[np.argsort(image[kept], kind="stable")]
+        yield FalseBoxes(loose.row[kept], image[kept], boxes[kept])
 
 
 MIN_OVERLAP = 0.05  # least share of the smaller of two vessels inside the larger for which they may come out as one box
@@ -213,8 +213,8 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Fa
     left = left.without(common.row)
     single = sought.found.copy()
     single[parts.place] = True
-    for each in (pairs.larger, pairs.smaller):
-        single[each[common.pair]] = False
+    for member in (pairs.larger, pairs.smaller):
+        single[member[common.pair]] = False
     place, doubled = match_shapes.second_boxes(sought, left, single & whole, rule)
     copies = _copies(sought, left, place, doubled)
     loose_on, left = left.without(doubled) if copies else left, left.without(doubled)
@@ -281,27 +281,27 @@ def _by_chance(
 
 
 def _merge_trials(
-    detected: SoughtBoxes, rows: Indices, pairs: OverlapPairs, common: CommonBoxes, known: Recognition, by_pair: Array
+    detected: SoughtBoxes, rows: Indices, pairs: OverlapPairs, common: CommonBoxes, shares: Recognition, by_pair: Array
 ) -> Trials:
     """Pairs that could have merged, less the boxes of one vessel (p,) and the false positives (p,) that look so."""
     is_merged = np.zeros(len(pairs), dtype=bool)
     is_merged[common.pair] = True
-    by_error = np.where(common.one_box, np.where(detected.found[pairs.larger], *known.mistaken), 0.0)
-    told = np.maximum(known.recognized - by_error, 0.5)
-    probable = np.where(common.one_box, (is_merged - by_error) / told, 1.0 * is_merged)
-    chance, unambiguous = by_error + by_pair, known.unambiguous
+    by_error = np.where(common.one_box, np.where(detected.found[pairs.larger], *shares.mistaken), 0.0)
+    margin = np.maximum(shares.recognized - by_error, 0.5)
+    probable = np.where(common.one_box, (is_merged - by_error) / margin, 1.0 * is_merged)
+    chance, unambiguous = by_error + by_pair, shares.unambiguous
     hits, one_box = probable - by_pair, common.one_box
     return match_shapes.pair_trials(detected, rows, pairs, is_merged, hits, chance, unambiguous, one_box)
 
 
 def _ambiguous_pairs(detected: SoughtBoxes, pairs: OverlapPairs, recognition: Recognition) -> VesselPairs:
     """Places of pairs of which the box of the first does not tell whether it is around both."""
-    unsure, found = ~recognition.unambiguous, []
+    unsure, parts = ~recognition.unambiguous, []
     larger, smaller = pairs.larger, pairs.smaller
     for mistaken, first, second in ((np.ones(len(pairs)), larger, smaller), (recognition.mistaken[1], smaller, larger)):
         pair = np.flatnonzero(unsure & (mistaken > MAX_MISTAKEN) & detected.found[first])
-        found.append((first[pair], second[pair], detected.row[first[pair]], pairs.share[pair]))
-    return VesselPairs(*(np.concatenate(column) for column in zip(*found, strict=True)))
+        parts.append((first[pair], second[pair], detected.row[first[pair]], pairs.share[pair]))
+    return VesselPairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _perhaps_parts(sought: SoughtBoxes, loose: FalseBoxes) -> Indices:
@@ -398,8 +398,8 @@ def counted_as(labelled: LabelledSet, matched: Matching, used: Mask, without: fr
         of_vessel.append(kinds.doubled)
     false = np.setdiff1d(np.flatnonzero(matched.counts & used[labelled.results.image]), detection[detection >= 0])
     free = np.setdiff1d(false, np.concatenate(of_vessel))
-    said = tuple(notes)
-    return BoxTypes(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, said)
+    text = tuple(notes)
+    return BoxTypes(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, text)
 
 
 def _clear_types(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:
@@ -420,8 +420,8 @@ def _clear_types(kinds: MatchTypes, wanted: list[str], images: Images, notes: li
             notes.append(f"false_positives.{name}: none; {why}")
         else:
             by_chance = f", of which {chance:.1f} by chance" if chance >= 0.05 else ""
-            found = f"had {counted(round(seen), *_WHAT[name])}{by_chance}, needs {needed}"
-            notes.append(f"false_positives.{name}: none; {found}")
+            lack = f"had {counted(round(seen), *_WHAT[name])}{by_chance}, needs {needed}"
+            notes.append(f"false_positives.{name}: none; {lack}")
     return shown
 
 

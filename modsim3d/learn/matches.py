@@ -55,18 +55,18 @@ class ErrorFits:
 
     def chosen(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
         """Fit; where so many boxes fail the matching that it has no maximum, as if matching cut off nothing."""
-        found = self.fit(unit, heavy)
-        if found is None or found.settled:
-            return found
+        fit = self.fit(unit, heavy)
+        if fit is None or fit.settled:
+            return fit
         start = self._start(unit, heavy)
         if start is not None:
-            self._found[unit, heavy] = found = fit_without_gate(start, self.edges)
-        return found
+            self._found[unit, heavy] = fit = fit_without_gate(start, self.edges)
+        return fit
 
     def value(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> float:
         """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none or it is below the least."""
-        found = self.fit(unit, heavy, least)
-        return -np.inf if found is None or not found.settled else found.value
+        fit = self.fit(unit, heavy, least)
+        return -np.inf if fit is None or not fit.settled else fit.value
 
     def unclipped(self, relative: bool) -> Array:
         """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
@@ -82,10 +82,10 @@ class ErrorFits:
             return None
         if not heavy:
             return ErrorModel.of_moments(errors.mean(axis=0), np.cov(errors.T, bias=True), unit)
-        found = fit_student_t(errors)
-        if found is None:
+        student_t = fit_student_t(errors)
+        if student_t is None:
             return None
-        return ErrorModel.of_moments(found.mean, found.covariance, unit, found.degrees_of_freedom)
+        return ErrorModel.of_moments(student_t.mean, student_t.covariance, unit, student_t.degrees_of_freedom)
 
     def _start_of_mixed(self, heavy: bool) -> ErrorModel | None:
         """From that in pixels, with standard deviations that follow the mean size of errors over the sides."""
@@ -99,8 +99,8 @@ class ErrorFits:
         std, growth = np.empty(4), np.empty(4)
         for k in range(4):
             sides = np.column_stack([np.ones(chosen.sum()), edges.sides_px[chosen, k]])
-            found, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
-            std[k], growth[k] = max(found[0], _MIN_SHARE * model.std[k]), found[1]
+            line, _ = optimize.nnls(sides, _MEAN_TO_STD * np.abs(edges.errors_px[chosen, k] - model.mean[k]))
+            std[k], growth[k] = max(line[0], _MIN_SHARE * model.std[k]), line[1]
         return replace(model, std=std, growth=growth, unit="mixed", floor=_MIN_SHARE * model.std)
 
     def _start_of_heavy_mixed(self) -> ErrorModel | None:
@@ -169,8 +169,8 @@ class Pairs:
     @cached_property
     def edges(self) -> MatchedEdges:
         """Evidence of each edge of the boxes on their errors."""
-        found = move(self.annotated_px, self.error_px)
-        edges = MatchedEdges.of(self.annotated_px, found, self.image_px, self.image, self.rule)
+        boxes_px = move(self.annotated_px, self.error_px)
+        edges = MatchedEdges.of(self.annotated_px, boxes_px, self.image_px, self.image, self.rule)
         return edges if self.unsure is None else edges.without(self.unsure)
 
     @property
@@ -289,8 +289,8 @@ class Outcomes:
     @cached_property
     def detected_label(self) -> Indices:
         """Label that each annotation was detected as, k where it has no box of its own, shape (n,)."""
-        found, k = self.labelled.results.label, len(self.labelled.labels)
-        label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)
+        labels, k = self.labelled.results.label, len(self.labelled.labels)
+        label = labels[self.detection] if len(labels) else np.zeros(len(self.rows), dtype=np.int64)
         return np.where(self.detection < 0, k, label)
 
     @cached_property
@@ -415,11 +415,11 @@ class FalseSightings(Columns):
         distinct, row = np.unique(np.column_stack([self.half_planes, self.image_px]), axis=0, return_inverse=True)
         depth, width = np.empty((len(distinct), 0)), np.empty((len(distinct), 0))
         for size in np.unique(distinct[:, 3:], axis=0):
-            ours = (distinct[:, 3:] == size).all(axis=1)
-            some = sea_levels(distinct[ours, :3], (int(size[0]), int(size[1])))
+            of_size = (distinct[:, 3:] == size).all(axis=1)
+            some = sea_levels(distinct[of_size, :3], (int(size[0]), int(size[1])))
             if not depth.shape[1]:
-                depth, width = (np.empty((len(distinct), each.shape[1])) for each in some)
-            depth[ours], width[ours] = some
+                depth, width = (np.empty((len(distinct), nodes.shape[1])) for nodes in some)
+            depth[of_size], width[of_size] = some
         return depth, width, row.ravel()
 
     @cached_property

@@ -57,7 +57,7 @@ def own_effects(
         gain, name = best.gain / inflation[best.name], best.name
         if gain < needed_gain:
             rest = f"a slope for each makes twice the log-likelihood {gain:.1f} larger, needs {needed_gain:.1f}"
-            notes += [f"states.NAME.dropout.{each}: the same in all states; {rest}" for each in left]
+            notes += [f"states.NAME.dropout.{attribute}: the same in all states; {rest}" for attribute in left]
             break
         form = f"a slope for each state, by {'units' if best.by_units else 'doublings'}"
         notes.append(f"states.NAME.dropout.{name}: {form} (twice the log-likelihood {gain:.1f} larger)")
@@ -185,7 +185,7 @@ class LearnedClasses:
         if self.log_odds is not None:
             own |= {
                 "intercept": nested(self.intercepts[state].estimate),
-                "learned_log_odds": [[round(float(each), 3) for each in row] for row in self.log_odds[state]],
+                "learned_log_odds": [[round(float(value), 3) for value in row] for row in self.log_odds[state]],
             }
         confusion = {"confusion": bootstrap.columns_of_one(filled(self.confusion[state].estimate))}
         return confusion | ({"dropout": own} if own else {})
@@ -193,12 +193,12 @@ class LearnedClasses:
     def _effects_of(self, state: int | None) -> dict[str, Any]:
         """Effects of a state alone; of None, those that states share."""
         return {
-            each.effect.attribute: {
-                each.effect.slope_key: digits(each.slope.estimate),
-                "reference": digits(each.effect.reference),
+            term.effect.attribute: {
+                term.effect.slope_key: digits(term.slope.estimate),
+                "reference": digits(term.effect.reference),
             }
-            for each in self.effects
-            if each.effect.state == state
+            for term in self.effects
+            if term.effect.state == state
         }
 
 
@@ -218,15 +218,15 @@ def _candidates(observed: Outcomes, notes: list[str]) -> tuple[EffectTerm, ...]:
     """Attributes that are given for every annotation and vary, if there are enough misses for them."""
     chosen = []
     for name, column in dropout_fit.attribute_values(observed).items():
-        known = column[np.isfinite(column)]
-        if not len(known):
+        values = column[np.isfinite(column)]
+        if not len(values):
             notes.append(f"dropout.{name}: none; it is not given")
-        elif len(known) < len(column):
+        elif len(values) < len(column):
             notes.append(f"dropout.{name}: none; not given everywhere")
-        elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
+        elif np.ptp(values) < 1e-6 * max(abs(float(values.max())), 1.0):
             notes.append(f"dropout.{name}: none; constant")
         else:
-            chosen.append(EffectTerm(name, dropout_fit.REFERENCES.get(name, float(f"{np.median(known):.3g}"))))
+            chosen.append(EffectTerm(name, dropout_fit.REFERENCES.get(name, float(f"{np.median(values):.3g}"))))
     misses = int(observed.missed.sum())
     rarer, needed = min(misses, len(observed.rows) - misses), dropout_fit.MISSES_FOR_EACH * len(chosen)
     if rarer >= needed:
@@ -257,7 +257,7 @@ def _significant(
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
             wider = np.maximum(errors / fit.errors, 1.0) ** 2
-            inflation = {effect.attribute: float(each) for effect, each in zip(effects, wider, strict=True)}
+            inflation = {effect.attribute: float(ratio) for effect, ratio in zip(effects, wider, strict=True)}
             return own_effects(observed, *_in_units(observed, effects, fit, inflation, notes), inflation, notes)
         notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
@@ -294,11 +294,11 @@ def _persistence_s(observed: Outcomes, chances: MissFit | None, notes: list[str]
         notes.append(f"persistence: none; {why_no_steps(observed.labelled)}")
         return 0.0
     consecutive = consecutive_misses(observed, chances)
-    found = consecutive.correlation()
-    if found.persists:
+    correlation = consecutive.correlation()
+    if correlation.persists:
         return consecutive.rough_time_s()
     varies = consecutive.expected.sum() > 0
-    reason = found.doubt if varies else "of each label in each state either everything or nothing was missed"
+    reason = correlation.doubt if varies else "of each label in each state either everything or nothing was missed"
     notes.append(f"persistence.class_s: 0; {reason}")
     return 0.0
 

@@ -129,13 +129,13 @@ class LearnedOnVessels:
         sums = resampling.sums(image, np.hstack([np.ones((len(place), 1)), place, place**2]))
         mean, square = ratio(sums[:, 1:5], sums[:, :1]), ratio(sums[:, 5:], sums[:, :1])
         std = np.sqrt(np.maximum(square - mean**2, 1e-12))
-        known, error = np.full(4, sums[0, 0]), std[0] * np.sqrt(factor / max(sums[0, 0], 1.0))
+        counts, error = np.full(4, sums[0, 0]), std[0] * np.sqrt(factor / max(sums[0, 0], 1.0))
         mean, std = widened(mean, error), np.exp(widened(np.log(std), error / std[0] / np.sqrt(2)))
         return cls(
             Entry(Key((*section, "share")), Column(ratio(hits, number), "share", np.array(number[0]), factor)),
             lifetime,
-            Entry(Key((*section, "mean"), axes=(PLACE,)), Column(mean, "mean", known)),
-            Entry(Key((*section, "std"), axes=(PLACE,)), Column(std, "positive", known)),
+            Entry(Key((*section, "mean"), axes=(PLACE,)), Column(mean, "mean", counts)),
+            Entry(Key((*section, "std"), axes=(PLACE,)), Column(std, "positive", counts)),
         )
 
     def section(self) -> dict[str, Any]:
@@ -193,10 +193,10 @@ def _lasting_s(observed: Outcomes, name: str, key: str, notes: list[str]) -> flo
     if not len(products):
         notes.append(f"{key}: 0; none could be seen in two frames with times")
         return 0.0
-    found = products.correlation()
-    if found.persists:
+    correlation = products.correlation()
+    if correlation.persists:
         return products.rough_time_s()
-    notes.append(f"{key}: 0; {found.doubt}")
+    notes.append(f"{key}: 0; {correlation.doubt}")
     return 0.0
 
 

@@ -50,14 +50,14 @@ class SightingStretches:
 def stretches_of(images: Images, image: Indices, identity: Indices, state: Indices) -> SightingStretches:
     """Stretches of sightings, from their images, identities, −1 where unknown, and states, shapes (n,)."""
     time_s, sequence = images.time_s[image], images.sequence[image]
-    known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
-    keys = np.column_stack([sequence, identity, state])[known]
-    each, first, place = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    sightings = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
+    keys = np.column_stack([sequence, identity, state])[sightings]
+    stretches, first, place = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     count = np.bincount(place.ravel()).astype(np.float64)
-    low, high = np.full(len(each), np.inf), np.full(len(each), -np.inf)
-    np.minimum.at(low, place.ravel(), time_s[known])
-    np.maximum.at(high, place.ravel(), time_s[known])
-    return SightingStretches(count, (high - low) / np.maximum(count - 1, 1), state[known][first])
+    low, high = np.full(len(stretches), np.inf), np.full(len(stretches), -np.inf)
+    np.minimum.at(low, place.ravel(), time_s[sightings])
+    np.maximum.at(high, place.ravel(), time_s[sightings])
+    return SightingStretches(count, (high - low) / np.maximum(count - 1, 1), state[sightings][first])
 
 
 LEVEL = 0.999  # level of the interval of a correlation that decides whether noise persists
@@ -179,8 +179,8 @@ def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
 def steps_of(images: Images, image: Indices, identity: Indices) -> Steps:
     """Consecutive sightings of the same thing, from their images and identities, −1 where unknown, shapes (n,)."""
     sequence, time_s = images.sequence[image], images.time_s[image]
-    known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
-    order = known[np.lexsort((time_s[known], identity[known], sequence[known]))]
+    sightings = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
+    order = sightings[np.lexsort((time_s[sightings], identity[sightings], sequence[sightings]))]
     earlier, later = order[:-1], order[1:]
     apart_s = time_s[later] - time_s[earlier]
     same = (identity[earlier] == identity[later]) & (sequence[earlier] == sequence[later]) & (apart_s > 0)

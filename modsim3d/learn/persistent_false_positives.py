@@ -41,18 +41,18 @@ class DriftSpeeds:
         track = _tracks(len(sightings), next_frame)
         rows = np.flatnonzero(sightings.whole & (track >= 0))  # the edge moves the centre of what it cuts
         rows = rows[np.argsort(track[rows], kind="stable")]
-        found: list[tuple[int, float, float, int]] = []
-        for ours in np.split(rows, np.flatnonzero(np.diff(track[rows])) + 1):
-            if len(ours) < _MIN_SEEN:
+        drifts: list[tuple[int, float, float, int]] = []
+        for group in np.split(rows, np.flatnonzero(np.diff(track[rows])) + 1):
+            if len(group) < _MIN_SEEN:
                 continue
-            time_s, along = times_s[sightings.image[ours]], sightings.along_px[ours]
-            half = len(ours) // 2
+            time_s, along = times_s[sightings.image[group]], sightings.along_px[group]
+            half = len(group) // 2
             speeds = (along[half:] - along[:-half]) / (time_s[half:] - time_s[:-half])
             stray = _ROBUST * float(speeds.var(ddof=1)) / len(speeds)
-            found.append((int(sightings.image[ours[0]]), float(np.median(speeds)) ** 2, stray, len(ours)))
-        if not found:
+            drifts.append((int(sightings.image[group[0]]), float(np.median(speeds)) ** 2, stray, len(group)))
+        if not drifts:
             return cls(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-        image, square, error, frames = map(np.array, zip(*found, strict=True))
+        image, square, error, frames = map(np.array, zip(*drifts, strict=True))
         # Two that passed close by each other may have been linked: too fast, or of no one speed.
         middle = float(np.median(square))
         usual = square <= _MAX_TIMES * middle
@@ -126,44 +126,44 @@ class CountedPairs:
         """The lags up to a time, and the first few in any case."""
         kept = (self.apart_s <= most_s) | (np.arange(len(self.apart_s)) < _FIRST_LAGS)
         of_lags = (self.found, self.chance, self.pairs, self.seen_twice)
-        found, chance, pairs, seen_twice = (each[:, kept] for each in of_lags)
-        return CountedPairs(self.apart_s[kept], found, chance, pairs, seen_twice, self.false, self.expected)
+        counts, chance, pairs, seen_twice = (table[:, kept] for table in of_lags)
+        return CountedPairs(self.apart_s[kept], counts, chance, pairs, seen_twice, self.false, self.expected)
 
     def beyond_chance(self, far: Displacements) -> bool:
         """Whether so many pairs in neighbouring frames come by chance once in two thousand sets at most. If none stays,
         they are a binomial number of all near ones (Przyborowski and Wilenski (1940), "Homogeneity of results in
         testing samples from Poisson series")."""
-        found, near = float(self.found[:, 0].sum()), float(far.near(0.0).sum())
+        count, near = float(self.found[:, 0].sum()), float(far.near(0.0).sum())
         pairs = float(self.pairs[:, 0].sum())
-        if found == 0 or not len(far.alike):
+        if count == 0 or not len(far.alike):
             return False
-        return bool(special.betainc(found, near + 1, pairs / (pairs + len(far.alike))) < 1 / _ONE_IN)
+        return bool(special.betainc(count, near + 1, pairs / (pairs + len(far.alike))) < 1 / _ONE_IN)
 
     def fit(self, weights: Array, lifetimes_s: Array) -> tuple[Array, Array]:
         """Lifetime and share of weighted images (rows, I), out of some lifetimes; shapes (rows,)."""
-        found, chance, twice = (weights @ each for each in (self.found, self.chance, self.seen_twice))
+        counts, chance, twice = (weights @ table for table in (self.found, self.chance, self.seen_twice))
         scale = (weights @ self.false) / np.maximum(weights @ self.expected, 1e-9)
         kept = np.exp(-self.apart_s / lifetimes_s[:, None])
-        best, share = np.empty(len(found)), np.empty(len(found))
-        for row in range(len(found)):
-            each = scale[row] * twice[row] * kept
-            likelihood, shares = _shares(found[row], chance[row], each)
+        best, share = np.empty(len(counts)), np.empty(len(counts))
+        for row in range(len(counts)):
+            signal = scale[row] * twice[row] * kept
+            likelihood, shares = _shares(counts[row], chance[row], signal)
             best[row] = np.exp(_peak(np.log(lifetimes_s), likelihood, int(np.argmax(likelihood))))
             share[row] = np.interp(np.log(best[row]), np.log(lifetimes_s), shares)
         return best, share
 
 
-def _shares(found: Array, chance: Array, each: Array) -> tuple[Array, Array]:
+def _shares(counts: Array, chance: Array, signal: Array) -> tuple[Array, Array]:
     """Log-likelihood of Poisson numbers (K,) of means chance + share · each (G, K), and the best share; shapes (G,)."""
-    whole = np.maximum(each.sum(axis=1), 1e-12)
-    share = np.clip((found - chance).sum() / whole, 0.01, 2.0)
+    whole = np.maximum(signal.sum(axis=1), 1e-12)
+    share = np.clip((counts - chance).sum() / whole, 0.01, 2.0)
     for _ in range(_NEWTON_STEPS):
-        mean = np.maximum(chance + share[:, None] * each, 1e-12)
-        slope = (found * each / mean).sum(axis=1) - whole
-        bend = np.maximum((found * (each / mean) ** 2).sum(axis=1), 1e-12)
+        mean = np.maximum(chance + share[:, None] * signal, 1e-12)
+        slope = (counts * signal / mean).sum(axis=1) - whole
+        bend = np.maximum((counts * (signal / mean) ** 2).sum(axis=1), 1e-12)
         share = np.clip(share + slope / bend, share / 4, np.minimum(share * 4, 5.0))
-    mean = np.maximum(chance + share[:, None] * each, 1e-12)
-    return (found * np.log(mean) - mean).sum(axis=1), share
+    mean = np.maximum(chance + share[:, None] * signal, 1e-12)
+    return (counts * np.log(mean) - mean).sum(axis=1), share
 
 
 def _peak(places: Array, values: Array, top: int) -> float:
@@ -268,14 +268,14 @@ def _count(observed: Outcomes, expected: Array, lags: Sequence[Lag], far: Displa
     """Count near pairs of false positives that drift at a speed."""
     sightings, images = observed.false_sightings, len(observed.labelled.images)
     false = np.bincount(sightings.image, minlength=images).astype(float)
-    found, chance, pairs, twice = (np.zeros((images, len(lags))) for _ in range(4))
+    counts, chance, pairs, twice = (np.zeros((images, len(lags))) for _ in range(4))
     for k, lag in enumerate(lags):
         way = px_s * lag.apart_s
         near = lag.moves.near(way)
         by_chance = float(far.near(way).mean()) if len(far.alike) else 0.0
         first, second = lag.frames
-        found[:, k] = np.bincount(sightings.image[lag.rows[0, near]], minlength=images)
+        counts[:, k] = np.bincount(sightings.image[lag.rows[0, near]], minlength=images)
         np.add.at(pairs[:, k], first, false[first] * false[second])
         chance[:, k] = by_chance * pairs[:, k]
         np.add.at(twice[:, k], first, np.minimum(expected[first], expected[second]))
-    return CountedPairs(np.array([lag.apart_s for lag in lags]), found, chance, pairs, twice, false, expected)
+    return CountedPairs(np.array([lag.apart_s for lag in lags]), counts, chance, pairs, twice, false, expected)

@@ -163,16 +163,16 @@ class PlaceFit:
         """The likeliest placement, uniform unless one is likelier by the Bayesian information criterion; its gain."""
         level = self._likelihood(self._density())
         cells = GRID[0] * GRID[1]
-        found: list[tuple[Placing, int, float]] = [
+        options: list[tuple[Placing, int, float]] = [
             ("horizon_band", 1, self._likelihood(self._density(band_px=self._deepest_px)) - level),
             ("far_half_px", 1, self._likelihood(self._density(far_half_px=self.rough_far_half_px)) - level),
         ]
         if len(self.sightings) >= FALSE_FOR_EACH_CELL * cells:
-            found.append(("density", cells - 1, self._likelihood(self._map()) - level))
+            options.append(("density", cells - 1, self._likelihood(self._map()) - level))
         independent = max(len(self.sightings) / self.inflation, 1.0)
-        worth = [2 * gain / self.inflation - k * np.log(independent) for _, k, gain in found]
+        worth = [2 * gain / self.inflation - k * np.log(independent) for _, k, gain in options]
         best = int(np.argmax(worth))
-        return (found[best][0], found[best][2]) if worth[best] > SIGNIFICANT**2 else ("uniform", 0.0)
+        return (options[best][0], options[best][2]) if worth[best] > SIGNIFICANT**2 else ("uniform", 0.0)
 
     def band_px(self, resampling: Resampling) -> Column:
         """Depth of the band below the horizon."""
@@ -189,8 +189,8 @@ class PlaceFit:
     def far_half_px(self, resampling: Resampling) -> Column:
         """Distance below the horizon over which the density halves."""
         scales = self.rough_far_half_px * np.exp(np.linspace(-1.2, 1.2, _SCALES))
-        each = np.stack([self._log(self._density(far_half_px=scale)) for scale in scales.tolist()], axis=1)
-        curves = resampling.sums(self.sightings.image, each)
+        logs = np.stack([self._log(self._density(far_half_px=scale)) for scale in scales.tolist()], axis=1)
+        curves = resampling.sums(self.sightings.image, logs)
         tops = curves.argmax(axis=1).clip(1, _SCALES - 2)
         left, middle, right = (curves[np.arange(len(curves)), tops + k] for k in (-1, 0, 1))
         bend = np.minimum(left - 2 * middle + right, -1e-12)
@@ -203,8 +203,8 @@ class PlaceFit:
     def rough_far_half_px(self) -> float:
         """The likeliest such distance."""
         scales = float(self.sightings.image_px.max(initial=1.0)) * np.geomspace(0.003, 10, _SCALES)
-        found = [self._likelihood(self._density(far_half_px=scale)) for scale in scales.tolist()]
-        return float(scales[int(np.argmax(found))])
+        values = [self._likelihood(self._density(far_half_px=scale)) for scale in scales.tolist()]
+        return float(scales[int(np.argmax(values))])
 
     @cached_property
     def _deepest_px(self) -> float:
@@ -253,7 +253,7 @@ class PlaceFit:
         inside = (high >= first) & (low <= last)
         begin, end = np.clip(low, first, last), np.clip(high, first, last)
         if np.isfinite(far_half_px):
-            at_begin, at_end = (np.exp2(-np.maximum(each, 0) / far_half_px) for each in (begin, end))
+            at_begin, at_end = (np.exp2(-np.maximum(limit, 0) / far_half_px) for limit in (begin, end))
             way, here = far_half_px / _LN_2 * (at_begin - at_end), at_begin
         else:
             way, here = end - begin, np.ones(len(row))

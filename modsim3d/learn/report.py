@@ -79,7 +79,7 @@ class LearnReport:
         by_reason: dict[str, list[str]] = {}
         for (state, key), why in unknown_numbers(self.learned.observed, self.learned.numbers).items():
             by_reason.setdefault(why, []).append(key if state is None else f"states.{state}.{key}")
-        few = [each.name for each in self.states if each.units < MIN_UNITS]
+        few = [figures.name for figures in self.states if figures.units < MIN_UNITS]
         unit = "images, or runs of frames, are needed for intervals of all numbers but shares"
         return tuple(f"In state {name} only shares are known: at least {MIN_UNITS} {unit}" for name in few) + tuple(
             f"Not known: {', '.join(keys)}; {why}" for why, keys in by_reason.items()
@@ -97,7 +97,7 @@ class LearnReport:
 
     def name(self, figures: Figures) -> str:
         """The name of a group, which says that it is a state where there are conditions beside it."""
-        state = self.states_differ and any(figures is each for each in self.states)
+        state = self.states_differ and any(figures is other for other in self.states)
         return f"state {figures.name}" if state else figures.name
 
 
@@ -115,15 +115,15 @@ def lead(report: LearnReport) -> str:
 
 def overlaps(report: LearnReport) -> Overlaps:
     """IoU of the matches."""
-    found, annotation = report.learned.observed.matched.pairs
+    detection, annotation = report.learned.observed.matched.pairs
     labelled = report.labelled
-    return Overlaps.of(iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]))
+    return Overlaps.of(iou(labelled.results.boxes_px[detection], labelled.annotations.boxes_px[annotation]))
 
 
 def data_sentence(report: LearnReport, name: str, sources: Sequence[str]) -> str:
     """Sentence with the count of numbers in the detector file `name`, and their data, the labelled sets `sources`."""
     labelled, learned = report.labelled, report.learned
-    numbers = sum(np.size(each.estimate) for each in learned.intervals(report.level) if each.key.remark != NOT_WRITTEN)
+    numbers = sum(np.size(row.estimate) for row in learned.intervals(report.level) if row.key.remark != NOT_WRITTEN)
     matches = len(learned.observed.matched.pairs[0])
     data = f"{counted(matches, 'match', 'matches')} in {counted(len(labelled.images), 'image')}"
     return (
@@ -136,9 +136,9 @@ def data_sentence(report: LearnReport, name: str, sources: Sequence[str]) -> str
 def how_well(report: LearnReport) -> str:
     """Precision of the most important numbers, in the state where they are known least."""
     states = report.states
-    missed = _widest(report, [(each, each.any_label.false_negative_rate) for each in states])
-    false = _widest(report, [(each, each.any_label.false_discovery_rate) for each in states])
-    spread = _widest(report, [(each, each.errors.std) for each in states], relative=True)
+    missed = _widest(report, [(state, state.any_label.false_negative_rate) for state in states])
+    false = _widest(report, [(state, state.any_label.false_discovery_rate) for state in states])
+    spread = _widest(report, [(state, state.errors.std) for state in states], relative=True)
     if missed is None or false is None or spread is None:
         return "There are too few images for intervals of the main numbers."
     where = " in the state where they are known least" if len(states) > 1 else ""
@@ -151,22 +151,22 @@ def how_well(report: LearnReport) -> str:
 
 def _widest(report: LearnReport, columns: Sequence[tuple[Figures, Column]], relative: bool = False) -> float | None:
     """Half the width of the widest interval, also as a share of the estimate; None if one has no ends."""
-    found = []
+    halves = []
     for figures, column in columns:
         low, high = column.interval(report.level, figures.units)
         half, size = (np.asarray(high, dtype=float) - np.asarray(low, dtype=float)) / 2, np.abs(column.estimate)
         if relative:
             with np.errstate(divide="ignore", invalid="ignore"):
                 half = np.where((half == 0) & (size == 0), 0.0, half / size)
-        found.append(half)
-    widest = float(np.max([np.max(each) for each in found]))
+        halves.append(half)
+    widest = float(np.max([np.max(part) for part in halves]))
     return widest if np.isfinite(widest) else None
 
 
 def results(report: LearnReport) -> list[tuple[str, str, str]]:
     """The tiles: a name, a number, and what it is of."""
     observed = report.learned.observed
-    matched, found = observed.matched, len(observed.matched.pairs[0])
+    matched, matches = observed.matched, len(observed.matched.pairs[0])
     sought, counts = int(np.count_nonzero(matched.sought)), int(np.count_nonzero(matched.counts))
     detections, annotations = matched.pairs
     labelled = report.labelled
@@ -176,10 +176,10 @@ def results(report: LearnReport) -> list[tuple[str, str, str]]:
         points = f"{100 * report.shares.average_precision:.1f}"
         precise = [("Average precision", points, f"points of 100, by {report.curves_matched_by}")]
     return [
-        ("Matches", f"{found:,}", f"of {counted(sought, 'annotation')}"),
-        ("Missed", percent_of(sought - found, sought), f"{sought - found:,} of {counted(sought, 'annotation')}"),
-        ("False", percent_of(counts - found, counts), f"{counts - found:,} of {counted(counts, 'detection')}"),
-        ("Wrong class", percent_of(wrong, found), f"{wrong:,} of {counted(found, 'match', 'matches')}"),
+        ("Matches", f"{matches:,}", f"of {counted(sought, 'annotation')}"),
+        ("Missed", percent_of(sought - matches, sought), f"{sought - matches:,} of {counted(sought, 'annotation')}"),
+        ("False", percent_of(counts - matches, counts), f"{counts - matches:,} of {counted(counts, 'detection')}"),
+        ("Wrong class", percent_of(wrong, matches), f"{wrong:,} of {counted(matches, 'match', 'matches')}"),
         *precise,
         ("Left simple", f"{len(report.learned.notes):,}", "parts of which the data say too little; listed below"),
     ]

@@ -29,7 +29,7 @@ _ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height")
 
 def _cell(column: Column, level: float, units: int, digits: int, *place: int) -> str:
     ends = (column.estimate, *column.interval(level, units))
-    value, low, high = (float(np.asarray(each)[place]) for each in ends)
+    value, low, high = (float(np.asarray(end)[place]) for end in ends)
     return with_interval(value, low, high, digits)
 
 
@@ -41,12 +41,12 @@ def tables(report: LearnReport) -> list[Table]:
     """All tables in the order of the thesis's chapter 8, which are too many for a terminal."""
     groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
     of_labels = groups if len(report.labelled.labels) > 1 else []
-    errors = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
+    errors = tuple((report.name(group), *_error_cells(report, group, group.errors)) for group in groups)
     title = "Correlation coefficients of the box errors"
     correlations = _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, ERROR_PAIRS)
     title = "Covariances of the box errors in square pixels"
     covariances = _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
-    used = tuple(each.cells for each in report.learned.numbers.box_errors.used)
+    used = tuple(matches.cells for matches in report.learned.numbers.box_errors.used)
     models = tuple(
         (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
     )
@@ -62,9 +62,9 @@ def tables(report: LearnReport) -> list[Table]:
         Table(estimate.TITLE, estimate.HEADER, used),
         replace(covariances, where=Where.PAGE),
         *_curves(report, groups),
-        *(detail(_labels, each) for each in of_labels),
-        *(replace(_label_errors(report, each), where=Where.PAGE) for each in of_labels),
-        *(detail(_confusion, each) for each in groups),
+        *(detail(_labels, group) for group in of_labels),
+        *(replace(_label_errors(report, group), where=Where.PAGE) for group in of_labels),
+        *(detail(_confusion, group) for group in groups),
         *(*_shares(report), _parameters(report), *_long_run(report)),
         Table("Models that can be learned", ("part", "model", "estimate"), models),
     ]
@@ -82,7 +82,7 @@ def _state_table(report: LearnReport) -> Table:
 
 
 def _rates(report: LearnReport, groups: Sequence[Figures]) -> Table:
-    rows = [(report.name(each), str(each.images), *_row(each, report.level, 3, each.any_label)) for each in groups]
+    rows = [(report.name(group), str(group.images), *_row(group, report.level, 3, group.any_label)) for group in groups]
     header = ("condition", "images", "precision", "recall", "F1", f"F-{report.beta:g}", "FNR", "FDR")
     title = "Precision, recall, F1, false negative and false discovery rate, whatever the label"
     return Table(title, header, rows, where=Where.EVERYWHERE)
@@ -123,8 +123,8 @@ def _by_pair(
 ) -> Table:
     """A row for each group, a column for each pair of components of the box error."""
     rows = [
-        (report.name(each), *(_cell(column(each), report.level, each.units, digits, k) for k in range(len(pairs))))
-        for each in groups
+        (report.name(group), *(_cell(column(group), report.level, group.units, digits, k) for k in range(len(pairs))))
+        for group in groups
     ]
     return Table(title, ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in pairs)), rows)
 
@@ -176,22 +176,22 @@ def _shares(report: LearnReport) -> list[Table]:
     """The table of what average precision is lost to; none without confidences."""
     if report.shares is None:
         return []
-    rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
+    rows = tuple((share.kind.value, str(share.count), f"{share.gain_points:.2f}") for share in report.shares.shares)
     points = f"{100 * report.shares.average_precision:.1f} points"
     title = f"What mean average precision, {points}, is lost to, matched by {report.curves_matched_by}"
     return [Table(title, ("error", "number", "points gained if corrected"), rows)]
 
 
 def _parameters(report: LearnReport) -> Table:
-    intervals = [each for each in report.learned.intervals(report.level) if not each.key.own_table]
+    intervals = [entry for entry in report.learned.intervals(report.level) if not entry.key.own_table]
     rows = []
-    for each in sorted(intervals, key=lambda each: (each.key.state is not None, each.key.path)):
-        for place in np.ndindex(*each.estimate.shape):
-            value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
-            told = np.isfinite([value, low, high]).all()
+    for entry in sorted(intervals, key=lambda entry: (entry.key.state is not None, entry.key.path)):
+        for place in np.ndindex(*entry.estimate.shape):
+            value, low, high = (float(np.asarray(ends)[place]) for ends in (entry.estimate, entry.low, entry.high))
+            finite = np.isfinite([value, low, high]).all()
             ends = f"{significant(low)} to {significant(high)}"
-            interval = ends if told else "not known" if np.isnan(low) else UNKNOWN
-            rows.append((each.key.at(place), significant(value), interval))
+            interval = ends if finite else "not known" if np.isnan(low) else UNKNOWN
+            rows.append((entry.key.at(place), significant(value), interval))
     header = ("number", "learned", f"{in_percent(report.level)} interval")
     return Table("Numbers of the detector file", header, tuple(rows))
 
@@ -237,7 +237,7 @@ class Sources:
     @property
     def inputs(self) -> tuple[provenance.Input, ...]:
         """All files with their checksums. Raises InputError where a file cannot be read."""
-        return (*self._files(), *(found for run in self.runs for found in provenance.run_inputs(run)))
+        return (*self._files(), *(file for run in self.runs for file in provenance.run_inputs(run)))
 
     @property
     def seeds(self) -> tuple[tuple[str, str], ...]:
@@ -248,7 +248,7 @@ class Sources:
     @property
     def made_before(self) -> tuple[tuple[str, str], ...]:
         """Versions by which the runs were made."""
-        return tuple(dict.fromkeys(found for run in self.runs for found in provenance.run_versions(run)))
+        return tuple(dict.fromkeys(version for run in self.runs for version in provenance.run_versions(run)))
 
     def _files(self) -> Iterator[provenance.Input]:
         files_of, rest = self._sorted()
@@ -265,18 +265,18 @@ class Sources:
         """The files read, by the innermost given path that they lie in, absolute, and of none; a run's with it."""
         given = {path.absolute() for path in (*self.truth, *self.detections)}
         runs = [run.folder.resolve() for run in self.runs]
-        found: dict[Path, list[Path]] = {}
+        files: dict[Path, list[Path]] = {}
         rest: list[Path] = []
         for path in dict.fromkeys(self.read):
             if not path.is_file() or path.suffix.lower() in _IMAGES:
                 continue
             whole = path.absolute()
-            owner = next((each for each in (whole, *whole.parents) if each in given), None)
+            owner = next((parent for parent in (whole, *whole.parents) if parent in given), None)
             if owner is not None:
-                found.setdefault(owner, []).append(whole)
+                files.setdefault(owner, []).append(whole)
             elif not (runs and any(path.resolve().is_relative_to(run) for run in runs)):
                 rest.append(path)
-        return found, rest
+        return files, rest
 
 
 def document(
@@ -298,7 +298,7 @@ def document(
             Tiles(results(report)),
             Text(lead(report), "soft", Where.EVERYWHERE),
             Heading("Read the numbers with this"),
-            Items([f"{each}." for each in cautions], Where.EVERYWHERE),
+            Items([f"{caution}." for caution in cautions], Where.EVERYWHERE),
             *sections,
             *_curve_charts(report),
             Heading("Box errors"),
@@ -317,8 +317,8 @@ def document(
 
 def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, sections: Sequence[Block] = ()) -> str:
     """The page, in one file, given the detector file, its content and what it was learned from."""
-    found = document(report, out.name, sources.names, sections)
-    return page.document_page(found, _provenance(report, out, detector, sources))
+    body = document(report, out.name, sources.names, sections)
+    return page.document_page(body, _provenance(report, out, detector, sources))
 
 
 def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources) -> provenance.Provenance:
@@ -354,10 +354,9 @@ def _reality(report: LearnReport) -> list[Block]:
     """Real and simulated numbers where the detector was not learned."""
     rows = () if report.check is None else report.check.comparisons
     cells = [
-        (each.name, *(number(value, 4) for value in (each.real, each.simulated, each.spread, each.p_value)))
-        for each in rows
+        (row.name, *(number(value, 4) for value in (row.real, row.simulated, row.spread, row.p_value))) for row in rows
     ]
-    said = (
+    note = (
         "Spread is the standard deviation over simulated seeds. The p-value is that of a real number from the same "
         "distribution, adjusted for the number of lines; below 0.05 the two differ. Above it no difference was found, "
         "which is no proof that there is none."
@@ -365,7 +364,7 @@ def _reality(report: LearnReport) -> list[Block]:
     return [
         Heading("Where it was not learned"),
         Table("", ("", "real", "simulated", "spread", "p-value"), cells),
-        Text(said if rows else "", "soft"),
+        Text(note if rows else "", "soft"),
     ]
 
 
@@ -373,11 +372,11 @@ def _curve_charts(report: LearnReport) -> list[Block]:
     if report.by_label is None:
         return []
     title = f"Precision against recall, matched by {report.curves_matched_by}"
-    said = "largest precision at each recall or beyond."
+    caption = "largest precision at each recall or beyond."
     labels = enumerate(report.labelled.labels)
     return [
         Heading(title),
-        BlockRow([Figure(partial(_curve_chart, report, label), f"{name}: {said}") for label, name in labels]),
+        BlockRow([Figure(partial(_curve_chart, report, label), f"{name}: {caption}") for label, name in labels]),
     ]
 
 
@@ -398,10 +397,10 @@ def _scatters(report: LearnReport) -> Iterator[Block]:
     pairs, relative = report.learned.observed.pairs, report.learned.form.box_errors.relative
     error, state = pairs.errors(pairs.sure, relative), pairs.state[pairs.sure]  # in the unit in which they are learned
     states = report.learned.observed.states
-    there = [index for index in range(len(states)) if np.any(state == index)]
-    colours = [charts.state_colours(len(states))[index] for index in there]
+    indices = [index for index in range(len(states)) if np.any(state == index)]
+    colours = [charts.state_colours(len(states))[index] for index in indices]
     for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
-        groups = {states[index]: error[state == index][:, [i, j]] for index in there}
+        groups = {states[index]: error[state == index][:, [i, j]] for index in indices}
         units = ("widths", "heights") if relative else ("px", "px")
         x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
@@ -411,6 +410,6 @@ def _scatters(report: LearnReport) -> Iterator[Block]:
 def _share_chart(report: LearnReport) -> list[Block]:
     if report.shares is None:
         return []
-    gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
+    gains = {share.kind.value: max(share.gain_points, 0.0) for share in report.shares.shares}
     title = "What average precision is lost to"
     return [Heading(title), Figure(partial(charts.named_bars, gains, "points", title), _SHARES)]

@@ -37,7 +37,7 @@ WAYS = {"predicted": "matrix_rows: predicted (ultralytics)", "true": "matrix_row
 def _rate(value: Any) -> Any:
     """A share, or one for each label. Raises ValueError for anything else."""
     shares = list(value.values()) if isinstance(value, Mapping) else [value]
-    if not all(isinstance(each, int | float) and not isinstance(each, bool) and 0 < each <= 1 for each in shares):
+    if not all(isinstance(rate, int | float) and not isinstance(rate, bool) and 0 < rate <= 1 for rate in shares):
         raise ValueError(f"must be a share above 0 and up to 1, or one for each label (got {shown(value)})")
     return value
 
@@ -151,25 +151,25 @@ def _cells(report: Report, source: str, assumed: list[str], contradictions: list
     else:
         if report.confusion_matrix is None and k > 1:
             assumed.append("No vessel is taken for another label; a confusion_matrix would say.")
-        found = recall / np.maximum(np.diag(true), 1e-12)
-        if np.any(found > 1 + NOTICEABLE):
+        hits = recall / np.maximum(np.diag(true), 1e-12)
+        if np.any(hits > 1 + NOTICEABLE):
             contradictions.append("recall is higher than the share of right labels in the matrix: nothing is missed")
-        true = np.vstack([true * np.minimum(found, 1), 1 - np.minimum(found, 1)])
+        true = np.vstack([true * np.minimum(hits, 1), 1 - np.minimum(hits, 1)])
     true = true * share
-    right, found = np.diag(true), true[:k].sum(axis=1)
+    right, hits = np.diag(true), true[:k].sum(axis=1)
     if counts and numbers is not None and given.shape == (k + 1, k + 1):
         false = false / numbers.sum()
-        _compare(report, "precision", right / np.maximum(found + false, 1e-12), contradictions)
+        _compare(report, "precision", right / np.maximum(hits + false, 1e-12), contradictions)
     elif precision is None:
         raise InputError(source, ["precision: missing: the matrix does not say how many detections are false"])
     else:
         by_label = isinstance(report.precision, Mapping)
-        each = right / precision - found
-        total = each.sum() if by_label else right.sum() / precision[0] - found.sum()
+        excess = right / precision - hits
+        total = excess.sum() if by_label else right.sum() / precision[0] - hits.sum()
         if total < -NOTICEABLE:
             contradictions.append("precision is higher than confusions of labels allow: nothing else is false")
         if not false.sum():
-            false = np.maximum(each, 0) if by_label and each.max() > 0 else share
+            false = np.maximum(excess, 0) if by_label and excess.max() > 0 else share
             assumed += ["Labels of false positives follow precision and annotations."] if k > 1 else []
         false = false / false.sum() * max(total, 0)
     per_image = None if numbers is None or report.images is None else float(numbers.sum()) / report.images
@@ -181,9 +181,9 @@ def _compare(report: Report, key: str, of_matrix: Array, contradictions: list[st
     reported, names = report.of_labels(key), [f" of {name}" for name in report.labels]
     if not isinstance(getattr(report, key), Mapping):
         of_matrix, names = of_matrix.mean(keepdims=True), [""]
-    for name, told, counts in zip(names, [] if reported is None else reported, of_matrix, strict=False):
-        if abs(told - counts) > NOTICEABLE:
-            contradictions.append(f"{key}{name} is {told:.3g}, and {counts:.3g} by the matrix, which counts")
+    for name, value, counts in zip(names, [] if reported is None else reported, of_matrix, strict=False):
+        if abs(value - counts) > NOTICEABLE:
+            contradictions.append(f"{key}{name} is {value:.3g}, and {counts:.3g} by the matrix, which counts")
 
 
 # ---- Figures that a detector gives back, from simulated boxes without images ----
@@ -208,37 +208,37 @@ class Sample:
         centre = size / 2 + draw.random((count, 2)) * (np.array(IMAGE_PX) - size)
         label = np.searchsorted(np.cumsum(share), (draw.permutation(count) + 0.5) / count)
         half_planes, names = np.tile(EVERYWHERE, (IMAGES, 1)), tuple(map(str, range(VESSELS)))
-        boxes_px, known = corner_form(np.column_stack([centre, size])), np.ones(count)
+        boxes_px, ones = corner_form(np.column_stack([centre, size])), np.ones(count)
         return cls(
             CameraFrames("test set", images, images.astype(np.float64), IMAGE_PX, half_planes),
-            Targets(images.repeat(VESSELS), np.tile(np.arange(VESSELS), IMAGES), label, boxes_px, known, known, names),
+            Targets(images.repeat(VESSELS), np.tile(np.arange(VESSELS), IMAGES), label, boxes_px, ones, ones, names),
         )
 
     def figures(self, model: DetectorModel) -> dict[str, float]:
         """Figures of a detector: a box is right if it has its vessel's label and IoU of at least 0.5."""
         statistics, truth = target_statistics(model, [(self.frames, self.targets)]), self.targets
         detector = Detector(model, 0, statistics, lambda first, stop: self.frames.times_s[first:stop])
-        found = detector.detect(self.frames, truth)
-        true, overlap = ~are_false(found.kind), np.full(len(found), -1.0)
-        overlap[true] = iou(found.boxes_px[true], truth.boxes_px[found.target[true]])
-        own = true & (truth.label[found.target] == found.label)
+        detections = detector.detect(self.frames, truth)
+        true, overlap = ~are_false(detections.kind), np.full(len(detections), -1.0)
+        overlap[true] = iou(detections.boxes_px[true], truth.boxes_px[detections.target[true]])
+        own = true & (truth.label[detections.target] == detections.label)
         truth_px = np.sqrt(areas(truth.boxes_px))
-        found_px = np.where(true, truth_px[found.target], np.sqrt(areas(found.boxes_px)))
-        right, order = own & (overlap >= 0.5), np.argsort(-found.confidence, kind="stable")
+        found_px = np.where(true, truth_px[detections.target], np.sqrt(areas(detections.boxes_px)))
+        right, order = own & (overlap >= 0.5), np.argsort(-detections.confidence, kind="stable")
 
         def precision(least_iou: float, low: float = 0.0, high: float = np.inf) -> float:
             """Mean average precision over labels, of vessels and boxes of some sizes."""
-            each = []
+            scores = []
             for label in np.unique(truth.label):
-                rows = order[((found.label == label) & (found_px >= low) & (found_px < high))[order]]
+                rows = order[((detections.label == label) & (found_px >= low) & (found_px < high))[order]]
                 sought = truth.frame[(truth.label == label) & (truth_px >= low) & (truth_px < high)]
                 good = own[rows] & (overlap[rows] >= least_iou)
-                curve = Ranking(found.frame[rows], good, found.confidence[rows], sought).curve()
-                each.append(0.0 if curve is None else curve.at_points(COCO_POINTS))
-            return float(np.mean(each))
+                curve = Ranking(detections.frame[rows], good, detections.confidence[rows], sought).curve()
+                scores.append(0.0 if curve is None else curve.at_points(COCO_POINTS))
+            return float(np.mean(scores))
 
         mean, median, below = Overlaps.of(overlap[true])
-        figures = {"precision": right.sum() / max(len(found), 1), "recall": right.sum() / len(truth)}
+        figures = {"precision": right.sum() / max(len(detections), 1), "recall": right.sum() / len(truth)}
         figures |= {"mean_iou": mean, "median_iou": median, "iou_below_half": below, "map50": precision(0.5)}
         sizes = {"map50_95": (0.0, np.inf), **SIZES_PX}
         figures |= {name: np.mean([precision(u, *ends) for u in THRESHOLDS]) for name, ends in sizes.items()}
@@ -261,19 +261,19 @@ def _content(
     of the box, `sharpness` the exponent with which precision falls, `below` the share of boxes with IoU below 0.5,
     which a report counts as missed and false, `per_image` the number of annotations in an image, if it is known."""
     share = cells[:, :-1].sum(axis=0)
-    found = cells[:-1, :-1] / (share * (1 - below))
-    found = found / np.maximum(found.sum(axis=0), 1)
-    detected = float(found.sum(axis=0) @ share)
+    confusion = cells[:-1, :-1] / (share * (1 - below))
+    confusion = confusion / np.maximum(confusion.sum(axis=0), 1)
+    detected = float(confusion.sum(axis=0) @ share)
     false = max(float(cells[:-1].sum()) - detected, 0.0)
     discovery = min(false / (detected + false), 0.99)
     recall = np.linspace(0, 1, 9)[1:]
     curve = zip(detected * recall, 1 - discovery * recall**sharpness, strict=True)
     state: dict[str, Any] = {
-        "confusion": columns_of_one(np.vstack([found, 1 - found.sum(axis=0)])),
+        "confusion": columns_of_one(np.vstack([confusion, 1 - confusion.sum(axis=0)])),
         "false_positive_labels": columns_of_one(cells[:-1, -1] if cells[:-1, -1].sum() else share),
         **({"false_discovery_rate": digits(discovery)} if per_image is None else {}),
-        "box_error": {"unit": "relative", "std": [digits(spread * each) for each in (1, 1, 2, 2)]},
-        "confidence": {"precision_recall": [[digits(each) for each in point] for point in curve]},
+        "box_error": {"unit": "relative", "std": [digits(spread * factor) for factor in (1, 1, 2, 2)]},
+        "confidence": {"precision_recall": [[digits(value) for value in point] for point in curve]},
     }
     rate = {} if per_image is None else {"rate": digits(false * per_image)}
     return {
@@ -287,13 +287,13 @@ def _content(
     }
 
 
-def _dropout(report: Report, found: float) -> dict[str, Any]:
+def _dropout(report: Report, share: float) -> dict[str, Any]:
     """Misses that follow size, with recall in proportion to average precision; empty unless two sizes are given."""
     ends = {name: size for name, size in SIZES_PX.items() if getattr(report, name) is not None}
     if len(ends) < 2:
         return {}
     precision = np.array([getattr(report, name) for name in ends])
-    recall = np.clip(found * precision / max(precision.mean(), 1e-12), 0.02, 0.98)
+    recall = np.clip(share * precision / max(precision.mean(), 1e-12), 0.02, 0.98)
     octaves = [np.log2(low * high) / 2 for low, high in ends.values()]
     effect = {"per_doubling": digits(np.polyfit(octaves, np.log((1 - recall) / recall), 1)[0]), "reference": 64}
     return {"dropout": {"model": "logistic", "anchor": "state_rate", "size_px": effect}}
@@ -353,9 +353,9 @@ class ReportedDetector(Result):
             TypeError: The path is neither text nor a path.
         """
         simulated = ", ".join(f"{name} {value:.3f}" for name, (_, value) in self.figures.items())
-        said = [f"Made by modsim3d learn --from-figures of {self.source[0]}. When simulated: {simulated}."]
-        said += [f"Assumed: {each}" for each in self.assumed] + [f"Contradiction: {x}." for x in self.contradictions]
-        out, lines = as_path(path, "path"), [line for each in said for line in textwrap.wrap(each, 110)]
+        notes = [f"Made by modsim3d learn --from-figures of {self.source[0]}. When simulated: {simulated}."]
+        notes += [f"Assumed: {text}" for text in self.assumed] + [f"Contradiction: {x}." for x in self.contradictions]
+        out, lines = as_path(path, "path"), [line for note in notes for line in textwrap.wrap(note, 110)]
         with claimed([out], overwrite=overwrite, inputs=self.source[1:]):
             write_files({out: detector_text(self.content, lines)})
         return out
@@ -397,8 +397,8 @@ def _detector(content: Any, source: str, *inputs: Path) -> ReportedDetector:
         assumed.append("Mean IoU is 0.8; mean_iou, or map50 and map50_95, would say.")
 
     def overlap(spread: float) -> float:
-        found = figures(spread)
-        return found["map50_95"] / found["map50"] if by_ratio else found["mean_iou"]
+        numbers = figures(spread)
+        return numbers["map50_95"] / numbers["map50"] if by_ratio else numbers["mean_iou"]
 
     spread = _solved(overlap, wanted, 0.0, 0.5)
     below, sharpness, wanted = figures(spread)["iou_below_half"], 1.0, -(report.map50 or 0)

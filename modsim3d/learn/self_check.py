@@ -78,14 +78,12 @@ class SelfCheck:
         """Outcome, with what differs first."""
         if self.why_none:
             return f"Not checked where it was not learned: {self.why_none}"
-        differing = [each for each in self.comparisons if each.differs]
+        differing = [row for row in self.comparisons if row.differs]
         checked = (
             f"Learned from one half of the data and simulated {SEEDS} times over the other, and the other way round, "
             f"{len(differing)} of {len(self.comparisons)} numbers differ from the real results"
         )
-        some = [
-            f"{each.name} {three_digits(each.real)} in place of {three_digits(each.simulated)}" for each in differing
-        ]
+        some = [f"{row.name} {three_digits(row.real)} in place of {three_digits(row.simulated)}" for row in differing]
         return f"{checked}{': ' if some else ''}{listed(some) if some else ''}"
 
 
@@ -96,9 +94,9 @@ def self_check(learned: Estimates, settings: LearnSettings, seeds: int) -> tuple
     observed = learned.observed
     half = _first_half(observed)
     compared: list[dict[str, RealityComparison]] = []
-    for number, ours in enumerate((half, ~half)):
-        unseen = replace(observed, image_state=np.where(ours, observed.image_state, -1))
-        seen = replace(observed, image_state=np.where(ours, -1, observed.image_state))
+    for number, images in enumerate((half, ~half)):
+        unseen = replace(observed, image_state=np.where(images, observed.image_state, -1))
+        seen = replace(observed, image_state=np.where(images, -1, observed.image_state))
         if not len(unseen.found) or not len(seen.found):
             raise ModsimError("one half of the data has no matches, so nothing learned from the other can be checked")
         real, drawn = counts_of(unseen, observed) | hota_counts(unseen), []
@@ -106,7 +104,7 @@ def self_check(learned: Estimates, settings: LearnSettings, seeds: int) -> tuple
             labelled = simulated(observed.labelled, unseen.image_state, model, settings.seed + number * seeds + seed)
             again = replace(unseen, labelled=labelled, matched=match(labelled, settings.rule, settings.threshold))
             drawn.append(counts_of(again, observed) | (hota_counts(again) if seed < TRACKED_SEEDS else {}))
-        compared.append({each.name: each for each in _compared(real, drawn)})
+        compared.append({row.name: row for row in _compared(real, drawn)})
     rows = [_worse(*(half_of[name] for half_of in compared)) for name in compared[0] if name in compared[1]]
     if not rows:
         raise ModsimError(f"nothing is counted {MIN_COUNT} times in both halves of the data")
@@ -144,18 +142,18 @@ def _first_half(observed: Outcomes) -> Mask:
     _, film = np.unique(np.column_stack([images.source, sequence]), axis=0, return_inverse=True)
     film = film.ravel()
     for state in range(len(observed.states)):
-        ours = np.flatnonzero(observed.image_state == state)
-        number = np.bincount(film[ours], minlength=int(film.max(initial=0)) + 1)
+        members = np.flatnonzero(observed.image_state == state)
+        number = np.bincount(film[members], minlength=int(film.max(initial=0)) + 1)
         if np.count_nonzero(number) > 1:
             chosen, sizes_of_halves = np.zeros(len(number), dtype=bool), [0, 0]
-            for each in np.argsort(-number, kind="stable").tolist():
-                chosen[each] = sizes_of_halves[0] <= sizes_of_halves[1]
-                sizes_of_halves[0 if chosen[each] else 1] += int(number[each])
-            half[ours] = chosen[film[ours]]
+            for index in np.argsort(-number, kind="stable").tolist():
+                chosen[index] = sizes_of_halves[0] <= sizes_of_halves[1]
+                sizes_of_halves[0 if chosen[index] else 1] += int(number[index])
+            half[members] = chosen[film[members]]
         else:
-            time_s = np.where(np.isfinite(images.time_s[ours]), images.time_s[ours], np.arange(len(ours)))
+            time_s = np.where(np.isfinite(images.time_s[members]), images.time_s[members], np.arange(len(members)))
             rank = np.unique(time_s, return_inverse=True)[1].ravel()
-            half[ours] = (rank * _BLOCKS // max(int(rank.max(initial=0)) + 1, 1)) % 2 == 0
+            half[members] = (rank * _BLOCKS // max(int(rank.max(initial=0)) + 1, 1)) % 2 == 0
     return half
 
 
@@ -164,7 +162,7 @@ def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[RealityComparis
     for name, (amount, number) in real.items():
         if number < MIN_COUNT:
             continue
-        sums = (each.get(name, (0.0, 0.0)) for each in drawn)
+        sums = (counts.get(name, (0.0, 0.0)) for counts in drawn)
         means = np.array([total / whole for total, whole in sums if whole > 0])
         value = amount / number
         if len(means) < 2:
@@ -191,16 +189,16 @@ def _adjusted(rows: Sequence[RealityComparison]) -> Iterator[RealityComparison]:
 
 def counts_of(observed: Outcomes, whole: Outcomes) -> Counts:
     """Counts that a tracker feels of some results; ranges of size and distance are those of the `whole` data."""
-    found = observed.missed == 0
-    counts = {"share found": _mean(found)} | _by_range(observed, whole, found) | _of_boxes(observed)
-    return counts | _of_time(observed, found) | _of_false(observed)
+    hits = observed.missed == 0
+    counts = {"share found": _mean(hits)} | _by_range(observed, whole, hits) | _of_boxes(observed)
+    return counts | _of_time(observed, hits) | _of_false(observed)
 
 
 def _mean(values: Array | Mask) -> tuple[float, float]:
     return float(np.sum(values)), float(len(values))
 
 
-def _by_range(observed: Outcomes, whole: Outcomes, found: Mask) -> Counts:
+def _by_range(observed: Outcomes, whole: Outcomes, hits: Mask) -> Counts:
     """Share found by thirds of size and of distance, and of the visible share where it is known."""
     counts: Counts = {}
     for unit, column in {"px large": "size_px", "m away": "depth_m"}.items():
@@ -209,16 +207,16 @@ def _by_range(observed: Outcomes, whole: Outcomes, found: Mask) -> Counts:
         if not np.isfinite(every).all() or np.ptp(every) == 0:
             continue
         low, high = (float(f"{edge:.2g}") for edge in np.quantile(every, [1 / 3, 2 / 3]))
-        ours = values[observed.rows]
+        amounts = values[observed.rows]
         for name, chosen in (
-            (f"share found, below {low:,g} {unit}", ours < low),
-            (f"share found, {low:,g} to {high:,g} {unit}", (ours >= low) & (ours < high)),
-            (f"share found, above {high:,g} {unit}", ours >= high),
+            (f"share found, below {low:,g} {unit}", amounts < low),
+            (f"share found, {low:,g} to {high:,g} {unit}", (amounts >= low) & (amounts < high)),
+            (f"share found, above {high:,g} {unit}", amounts >= high),
         ):
-            counts[name] = _mean(found[chosen])
+            counts[name] = _mean(hits[chosen])
     visible = observed.labelled.annotations.visible_fraction[observed.rows]
     for name, chosen in (("under half visible", visible < 0.5), ("wholly visible", visible > 0.99)):
-        counts[f"share found, {name}"] = _mean(found[chosen])
+        counts[f"share found, {name}"] = _mean(hits[chosen])
     return counts
 
 
@@ -230,26 +228,26 @@ def _of_boxes(observed: Outcomes) -> Counts:
     error = np.full((len(observed.rows), 2), np.nan)
     error[observed.found] = (centres(boxes) - centres(true)) / np.maximum(sizes(true), 1.0)
     change = np.abs(error[observed.steps.later] - error[observed.steps.earlier])
-    known = np.isfinite(change).all(axis=1)
+    finite = np.isfinite(change).all(axis=1)
     names = ("change of the centre across", "change of the centre down")
     return {
         "mean IoU of matches": _mean(iou(boxes, true)),
-        **{f"{name}, in sides": _mean(change[known, k]) for k, name in enumerate(names)},
+        **{f"{name}, in sides": _mean(change[finite, k]) for k, name in enumerate(names)},
     }
 
 
-def _of_time(observed: Outcomes, found: Mask) -> Counts:
+def _of_time(observed: Outcomes, hits: Mask) -> Counts:
     """Lengths of runs of sightings and of gaps between them, and the confidence before a miss."""
     steps = observed.steps
     counts: Counts = {}
     if not len(steps):
         return counts
-    length = np.ones(len(found))
+    length = np.ones(len(hits))
     for later, earlier in zip(steps.later.tolist(), steps.earlier.tolist(), strict=True):
-        if found[later] == found[earlier]:
+        if hits[later] == hits[earlier]:
             length[later] = length[earlier] + 1
-    ended = steps.earlier[found[steps.later] != found[steps.earlier]]
-    runs, gaps = length[ended[found[ended]]], length[ended[~found[ended]]]
+    ended = steps.earlier[hits[steps.later] != hits[steps.earlier]]
+    runs, gaps = length[ended[hits[ended]]], length[ended[~hits[ended]]]
     label, labels = observed.detected_label, len(observed.labelled.labels)
     both = (label[steps.later] < labels) & (label[steps.earlier] < labels)
     if labels > 1:
@@ -257,10 +255,10 @@ def _of_time(observed: Outcomes, found: Mask) -> Counts:
     counts |= {"frames of a run of sightings": _mean(runs), "frames of a gap": _mean(gaps)}
     counts["share of gaps of one frame"] = _mean(gaps == 1)
     if observed.labelled.scored:
-        confidence = np.full(len(found), np.nan)
+        confidence = np.full(len(hits), np.nan)
         confidence[observed.found] = observed.labelled.results.confidence[observed.detection[observed.found]]
         counts["confidence of matches"] = _mean(confidence[observed.found])
-        lost = found[steps.earlier] & ~found[steps.later] & np.isfinite(confidence[steps.earlier])
+        lost = hits[steps.earlier] & ~hits[steps.later] & np.isfinite(confidence[steps.earlier])
         counts["confidence before a miss"] = _mean(confidence[steps.earlier[lost]])
     return counts
 
@@ -325,11 +323,11 @@ class _Films:
     def of(cls, observed: Outcomes) -> _Films:
         images = observed.labelled.images
         order = np.lexsort((images.time_s, images.sequence))
-        ours = observed.image_state[order] >= 0
+        inside = observed.image_state[order] >= 0
         begins = np.diff(images.sequence[order], prepend=NOBODY) != 0
-        begins[1:] |= ~ours[:-1]
-        film = np.cumsum(begins & ours) - 1
-        parts = [order[ours & (film == number)] for number in range(int(film.max(initial=NOBODY)) + 1)]
+        begins[1:] |= ~inside[:-1]
+        film = np.cumsum(begins & inside) - 1
+        parts = [order[inside & (film == number)] for number in range(int(film.max(initial=NOBODY)) + 1)]
         frame = np.full(len(order), NOBODY)
         for number, part in enumerate(parts):
             frame[part] = np.arange(len(part)) * len(parts) + number
@@ -341,17 +339,17 @@ class _Films:
         confidence = np.nan_to_num(results.confidence, nan=1.0)
         kept = np.flatnonzero((self.frame[results.image] >= 0) & observed.matched.counts)
         frame = self.frame[results.image[kept]]
-        found = anonymised(frame, results.label[kept], results.boxes_px[kept], confidence[kept])
+        detections = anonymised(frame, results.label[kept], results.boxes_px[kept], confidence[kept])
         frames, answers = [], []
         for number, part in enumerate(self.images):
-            here = found.take(found.frame % self.count == number)
+            here = detections.take(detections.frame % self.count == number)
             times_s = images.time_s[part] - images.time_s[part[0]]
             rate_hz = (len(part) - 1) / float(times_s[-1]) if len(part) > 1 and times_s[-1] > 0 else 1.0
             width, height = images.sizes_px[part[0]].tolist()
             facts = CameraFacts(f"film {number}", (int(width), int(height)), rate_hz, tuple(observed.labelled.labels))
             answers.append(answered(named, facts, times_s, replace(here, frame=here.frame // self.count)))
             frames.append(answers[-1].frame * self.count + number)
-        track, boxes_px = (np.concatenate([getattr(each, name) for each in answers]) for name in ("track", "boxes_px"))
+        track, boxes_px = (np.concatenate([getattr(film, name) for film in answers]) for name in ("track", "boxes_px"))
         return Tracks.of(self.count, np.concatenate(frames), track, boxes_px)
 
 
@@ -378,28 +376,28 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[SequencePa
         raise ModsimError("the detector cannot be simulated over images whose size is not known")
     keys = np.column_stack([images.sequence[used], images.sizes_px[used].astype(np.int64)])
     for number, key in enumerate(np.unique(keys, axis=0)):
-        ours = used[(keys == key).all(axis=1)]
-        timed = bool(np.isfinite(images.time_s[ours]).all())
-        ours = ours[np.argsort(images.time_s[ours], kind="stable")] if timed else ours
-        times = images.time_s[ours] if timed else np.arange(len(ours), dtype=np.float64)
+        part = used[(keys == key).all(axis=1)]
+        timed = bool(np.isfinite(images.time_s[part]).all())
+        part = part[np.argsort(images.time_s[part], kind="stable")] if timed else part
+        times = images.time_s[part] if timed else np.arange(len(part), dtype=np.float64)
         times = times - times[0]
         if len(times) > 1 and np.any(np.diff(times) <= 0):
-            times = np.arange(len(ours), dtype=np.float64)
+            times = np.arange(len(part), dtype=np.float64)
         place = np.full(len(images), NOBODY)
-        place[ours] = np.arange(len(ours))
+        place[part] = np.arange(len(part))
         rows = np.flatnonzero((place[annotations.image] >= 0) & ~annotations.ignored)
         rows = rows[np.argsort(place[annotations.image[rows]], kind="stable")]
         frame = place[annotations.image[rows]]
         ordinal = np.arange(len(rows)) - np.searchsorted(frame, frame)
         identity = annotations.identity[rows]
         names, vessel = np.unique(np.where(identity >= 0, identity, -1 - ordinal), return_inverse=True)
-        given = images.half_planes[ours]
+        given = images.half_planes[part]
         half_planes = np.where(np.isnan(given), EVERYWHERE, given)
         size = (int(key[1]), int(key[2]))
         yield SequencePart(
-            ours,
+            part,
             rows,
-            CameraFrames(f"sequence {number}", np.arange(len(ours)), times, size, half_planes),
+            CameraFrames(f"sequence {number}", np.arange(len(part)), times, size, half_planes),
             Targets(
                 frame=frame,
                 vessel=vessel.ravel(),
@@ -409,7 +407,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[SequencePa
                 depth_m=annotations.depth_m[rows],
                 vessel_ids=tuple(f"{name}" for name in names.tolist()),
             ),
-            image_state[ours],
+            image_state[part],
         )
 
 

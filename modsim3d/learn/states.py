@@ -169,7 +169,7 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
         if len(rows) and images.source[rows[0]] in changing:
             frames.append(rows[np.argsort(images.time_s[rows], kind="stable")])
     usual_s = interval_s or _usual_gap_s([images.time_s[rows] for rows in frames])
-    found: dict[tuple[bytes, bytes, int], list[Indices]] = {}
+    chains: dict[tuple[bytes, bytes, int], list[Indices]] = {}
     for rows in frames if usual_s else []:
         times = images.time_s[rows]
         if interval_s is None:  # gap by gap: rounded times make the usual gap slightly wrong, which would add up
@@ -177,15 +177,15 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
         else:  # a state changes at multiples of an interval
             number = np.floor(times / usual_s + 1e-6)
         numbers, first = np.unique(number, return_index=True)
-        ours = image_state[rows[first]]
-        key = (times[first].tobytes(), ours.tobytes(), int(images.source[rows[0]]))
-        found[key] = np.split(ours, np.flatnonzero(np.diff(numbers) != 1) + 1)  # states between are not known
-    return count_transitions([part for parts in found.values() for part in parts], states, usual_s or None)
+        history = image_state[rows[first]]
+        key = (times[first].tobytes(), history.tobytes(), int(images.source[rows[0]]))
+        chains[key] = np.split(history, np.flatnonzero(np.diff(numbers) != 1) + 1)  # states between are not known
+    return count_transitions([part for parts in chains.values() for part in parts], states, usual_s or None)
 
 
 def _usual_gap_s(times_s: Sequence[Array]) -> float:
     """Median time between frames, given the times of each sequence; 0 if no frame follows another."""
-    gaps = np.concatenate([np.diff(each) for each in times_s]) if times_s else np.zeros(0)
+    gaps = np.concatenate([np.diff(times) for times in times_s]) if times_s else np.zeros(0)
     gaps = gaps[gaps > 0]
     return float(f"{np.median(gaps):.6g}") if len(gaps) else 0.0
 

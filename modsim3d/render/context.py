@@ -74,10 +74,10 @@ def _devices() -> list[Any]:
     from OpenGL import EGL
     from OpenGL.EGL.EXT.device_enumeration import eglQueryDevicesEXT
 
-    found, count = (EGL.EGLDeviceEXT * _MAX_DEVICES)(), (EGL.EGLint * 1)()
-    if not _result(eglQueryDevicesEXT, _MAX_DEVICES, found, count):
+    devices, count = (EGL.EGLDeviceEXT * _MAX_DEVICES)(), (EGL.EGLint * 1)()
+    if not _result(eglQueryDevicesEXT, _MAX_DEVICES, devices, count):
         return []
-    return sorted(found[: count[0]], key=_is_software)
+    return sorted(devices[: count[0]], key=_is_software)
 
 
 def _is_software(device: Any) -> bool:
@@ -120,8 +120,8 @@ def library_found(backend: str) -> bool:
     short_name, file_names = LIBRARIES[backend]
     if any(map(_loads, file_names)):  # looking for another name starts other programs
         return True
-    found = ctypes.util.find_library(short_name)
-    return found is not None and _loads(found)
+    library = ctypes.util.find_library(short_name)
+    return library is not None and _loads(library)
 
 
 def _loads(file_name: str) -> bool:

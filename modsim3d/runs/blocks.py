@@ -35,11 +35,11 @@ class CameraBlock:
     @cached_property
     def detected(self) -> Mask:
         """Whether each truth row was detected, under whatever label, alone or merged with another, shape (n,)."""
-        found = np.zeros(len(self.truth), dtype=bool)
+        hits = np.zeros(len(self.truth), dtype=bool)
         detections = self.detections
         own, shared = detections.target[~detections.false()], detections.partner[detections.partner >= 0]
-        found[self.target_rows[np.concatenate([own, shared])]] = True
-        return found
+        hits[self.target_rows[np.concatenate([own, shared])]] = True
+        return hits
 
 
 @dataclass(frozen=True, eq=False)

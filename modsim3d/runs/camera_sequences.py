@@ -70,8 +70,8 @@ def sequences_of(rows: RunRows, cameras: tuple[int, ...]) -> tuple[CameraSequenc
     for index in cameras:
         frames = rows.frames[rows.frames % count == index]
         steps = frames // count
-        found = _truth(rows, frames), _detections(rows, frames)
-        sequences.append(CameraSequence(rows.scene.cameras[index], steps, times_s[steps], *found))
+        parts = _truth(rows, frames), _detections(rows, frames)
+        sequences.append(CameraSequence(rows.scene.cameras[index], steps, times_s[steps], *parts))
     return tuple(sequences)
 
 
@@ -147,8 +147,8 @@ class Outlook:
         """Number of vessels at each place, each counted where it is closest to being seen."""
         places = self._places()
         nearest = Counter(places.min(axis=0)[~self.sight.carriers.any(axis=0)].tolist())
-        said = [f"{nearest[place]} {PLACES[place]}" for place in sorted(nearest)]
-        return f"vessels: {', '.join(said)}" if said else "there is no vessel but the one that carries it"
+        phrases = [f"{nearest[place]} {PLACES[place]}" for place in sorted(nearest)]
+        return f"vessels: {', '.join(phrases)}" if phrases else "there is no vessel but the one that carries it"
 
     def _places(self) -> Indices:
         """The place of each vessel in each frame, one of `HIDDEN` to `ABSENT`, shape (S, V)."""

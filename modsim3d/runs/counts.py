@@ -56,14 +56,14 @@ def having(found: Outcomes, flag: Outcome) -> Mask:
 
 def frame_outcomes(frame: Frame) -> list[Outcome]:
     """The outcome of each detection of a frame."""
-    truth, found, rows = frame.truth, frame.detections, detected_rows(frame)
-    names = zip(found.labels, rows, strict=True)
+    truth, detections, rows = frame.truth, frame.detections, detected_rows(frame)
+    names = zip(detections.labels, rows, strict=True)
     mislabelled = np.array([row is not None and label != truth.labels[row] for label, row in names], dtype=bool)
     false = np.array([row is None for row in rows], dtype=bool)
     annotated_px = np.full((len(rows), 4), np.nan)
     annotated_px[~false] = truth.boxes_px[[row for row in rows if row is not None]]
-    flags = outcomes(false, mislabelled, found.boxes_px, annotated_px)
-    return [Outcome(each) for each in flags.tolist()]
+    flags = outcomes(false, mislabelled, detections.boxes_px, annotated_px)
+    return [Outcome(flag) for flag in flags.tolist()]
 
 
 def faults_of(frames: Iterable[Frame]) -> Outcome:
@@ -148,15 +148,15 @@ def detection_counts(detections: Detections, boxes_px: Array, labels: Indices) -
     """Counts of what a detector put out, by their names in `Counts`. For each of the t true detections, `labels` (t,)
     is the index of its vessel's label, and `boxes_px` (t, 4) the annotated box of that vessel."""
     true = np.flatnonzero(~detections.false())
-    found = detections.boxes_px[true]
-    outcome = outcomes(np.zeros(len(true), dtype=bool), detections.label[true] != labels, found, boxes_px)
+    true_px = detections.boxes_px[true]
+    outcome = outcomes(np.zeros(len(true), dtype=bool), detections.label[true] != labels, true_px, boxes_px)
     unclipped = sizes(boxes_px) + detections.errors_px[true, 2:]
     return {
         "missed_by_gate": int(detections.gated.sum()),
         "merged": int((detections.partner >= 0).sum()),
         "mislabelled": int(having(outcome, Outcome.MISLABELLED).sum()),
         "false_positives": len(detections) - len(true),
-        "clipped": int(np.any(sizes(found) < unclipped - 1e-6, axis=1).sum()),
+        "clipped": int(np.any(sizes(true_px) < unclipped - 1e-6, axis=1).sum()),
         "redrawn": int(detections.redrawn[true].sum()),
         "below_half_iou": int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
         "off_vessel": int(having(outcome, Outcome.OFF_VESSEL).sum()),

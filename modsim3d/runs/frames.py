@@ -240,12 +240,12 @@ class Frame:
         Raises:
             ModsimError: supervision is not installed.
         """
-        found = self.detections
+        detections = self.detections
         return _supervision().Detections(
-            xyxy=found.boxes_px.copy(),
-            confidence=found.confidence.copy(),
-            class_id=found.class_id.copy(),
-            data={"class_name": np.array(found.labels, dtype=str)},
+            xyxy=detections.boxes_px.copy(),
+            confidence=detections.confidence.copy(),
+            class_id=detections.class_id.copy(),
+            data={"class_name": np.array(detections.labels, dtype=str)},
         )
 
     def truth_to_supervision(self) -> supervision.Detections:
@@ -315,7 +315,7 @@ def _truth_columns(frame: Frame) -> Columns:
         **{f"full_{side}": truth.full_boxes_px[:, i] for i, side in enumerate(BOX_SIDES)},
         **{f"visible_{side}": truth.visible_boxes_px[:, i] for i, side in enumerate(BOX_SIDES)},
         **{name: getattr(truth, name) for name in TRUTH_NUMBERS},
-        "occluded_by": [[{"id": name, "px": px} for name, px in each.items()] for each in truth.occluded_by],
+        "occluded_by": [[{"id": name, "px": px} for name, px in counts.items()] for counts in truth.occluded_by],
         "annotated": truth.annotated,
         "detected": truth.detected,
     }
@@ -325,23 +325,23 @@ def detected_rows(frame: Frame) -> list[int | None]:
     """Row of a frame's truth that each of its detections detects, None for a false positive. A duplicate and the
     smaller part of a split box are false positives, though they come from a vessel."""
     row_of: dict[str | None, int] = {vessel: row for row, vessel in enumerate(frame.truth.vessels)}
-    found = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
-    return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]
+    pairs = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
+    return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in pairs]
 
 
 def _detection_columns(frame: Frame) -> Columns:
     from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 
-    found, rows = frame.detections, detected_rows(frame)
+    detections, rows = frame.detections, detected_rows(frame)
     annotated_px = [[np.nan] * 4 if row is None else frame.truth.boxes_px[row] for row in rows]
     return {
-        "detection": np.arange(len(found)),
-        "label": found.labels,
-        "confidence": found.confidence,
-        **dict(zip(CENTRE_FORM, centre_form(found.boxes_px).T, strict=True)),
-        **dict(zip(BOX_SIDES, found.boxes_px.T, strict=True)),
-        "kind": found.kinds,
-        "vessel": found.vessels,
-        **dict(zip(ERRORS, found.errors_px.T, strict=True)),
-        "iou": iou(found.boxes_px, np.reshape(annotated_px, (-1, 4))),
+        "detection": np.arange(len(detections)),
+        "label": detections.labels,
+        "confidence": detections.confidence,
+        **dict(zip(CENTRE_FORM, centre_form(detections.boxes_px).T, strict=True)),
+        **dict(zip(BOX_SIDES, detections.boxes_px.T, strict=True)),
+        "kind": detections.kinds,
+        "vessel": detections.vessels,
+        **dict(zip(ERRORS, detections.errors_px.T, strict=True)),
+        "iou": iou(detections.boxes_px, np.reshape(annotated_px, (-1, 4))),
     }

@@ -100,8 +100,8 @@ class Viewpoints:
             return cls(scene, camera, steps, vessels, np.zeros(3))
         first, count = int(steps[0]), int(steps[-1] - steps[0]) + 1
         errors = scene.imu.attitude_errors(Streams(scene.seed), carrier, first, count)
-        known = _turned(vessels, scene.vessel_names.index(carrier), errors[steps - first])
-        return cls(scene, camera, steps, known, scene.imu.attitude_std_rad)
+        estimate = _turned(vessels, scene.vessel_names.index(carrier), errors[steps - first])
+        return cls(scene, camera, steps, estimate, scene.imu.attitude_std_rad)
 
     def poses(self, turn_rad: tuple[float, ...] = _NO_TURN) -> CameraPoses:
         """Poses of the camera, if the known roll, pitch and heading of its vessel are turned by so much."""
@@ -196,7 +196,7 @@ def locate(
     if not parts:
         return Locations(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
     back = np.argsort(order, kind="stable")
-    names = (each.name for each in fields(Locations))
+    names = (field.name for field in fields(Locations))
     return Locations(*(np.concatenate([getattr(part, name) for part in parts])[back] for name in names))
 
 
@@ -205,7 +205,7 @@ def _checked(
 ) -> tuple[Camera, Indices, Array]:
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: a Scene is needed, such as load_scene gives (got {type(scene).__name__})")
-    cameras = {each.name: each for each in scene.cameras}
+    cameras = {scene_camera.name: scene_camera for scene_camera in scene.cameras}
     if camera not in cameras:
         raise ModsimError(f"{scene.title}: there is no camera '{camera}' ({nearest(str(camera), list(cameras))})")
     if attitude not in get_args(Attitude):

@@ -282,28 +282,28 @@ def given_detections(labels: LabelledPoses, frames: CameraFrames, targets: Targe
     """Detections of a real detector in a camera's frames. Those that detect nothing are false; those of a box that is
     not annotated, since nothing of it is visible or it is too small, are neither right nor false and left out."""
     given, boxes = labels.detections, labels.boxes
-    camera = [each.name for each in labels.sequences].index(frames.camera)
+    camera = [sequence.name for sequence in labels.sequences].index(frames.camera)
     if given is None:
         raise ModsimError("the labels have no detections")
-    found = given.take(np.isin(given.step, frames.steps) & (given.camera == camera))
+    detections = given.take(np.isin(given.step, frames.steps) & (given.camera == camera))
     vessels, last = len(targets.vessel_ids), np.append(boxes.vessel, NOBODY)
-    key = np.searchsorted(frames.steps, found.step) * vessels + last[found.row]
-    target = positions(targets.frame * vessels + targets.vessel, np.where(found.row >= 0, key, NOBODY))
-    counts = (found.row < 0) | (target >= 0)
-    found, target = found.take(counts), target[counts]
+    key = np.searchsorted(frames.steps, detections.step) * vessels + last[detections.row]
+    target = positions(targets.frame * vessels + targets.vessel, np.where(detections.row >= 0, key, NOBODY))
+    counts = (detections.row < 0) | (target >= 0)
+    detections, target = detections.take(counts), target[counts]
     own = target >= 0
-    errors_px = np.full((len(found), 4), np.nan)
-    errors_px[own] = errors_between(found.boxes_px[own], targets.boxes_px[target[own]])
+    errors_px = np.full((len(detections), 4), np.nan)
+    errors_px[own] = errors_between(detections.boxes_px[own], targets.boxes_px[target[own]])
     return Detections(
         states=np.zeros(len(frames), dtype=np.int64),
-        frame=np.searchsorted(frames.steps, found.step),
+        frame=np.searchsorted(frames.steps, detections.step),
         target=target,
-        partner=np.full(len(found), NOBODY),
+        partner=np.full(len(detections), NOBODY),
         kind=np.where(own, TRUE, FALSE_POSITIVE),
-        label=found.label,
-        confidence=found.confidence,
-        boxes_px=found.boxes_px,
+        label=detections.label,
+        confidence=detections.confidence,
+        boxes_px=detections.boxes_px,
         errors_px=errors_px,
-        redrawn=np.zeros(len(found), dtype=bool),
+        redrawn=np.zeros(len(detections), dtype=bool),
         gated=np.zeros(len(targets), dtype=bool),
     )

@@ -43,20 +43,20 @@ def settings_difference(one: bytes, other: bytes, left_out: frozenset[str]) -> s
     """Entries that differ between two JSON objects, `left_out` aside; empty if none does."""
     first, second = (_flat(orjson.loads(text), left_out) for text in (one, other))
     keys = [key for key in sorted(first | second) if first.get(key) != second.get(key)]
-    said = [f"{key} {_value_text(first, key)} against {_value_text(second, key)}" for key in keys[:_MAX_COLUMNS]]
-    return _listed(said, len(keys))
+    changes = [f"{key} {_value_text(first, key)} against {_value_text(second, key)}" for key in keys[:_MAX_COLUMNS]]
+    return _listed(changes, len(keys))
 
 
 def _flat(value: object, left_out: frozenset[str], path: str = "") -> dict[str, object]:
     """Values of nested objects by their path with dots."""
     if not isinstance(value, dict):
         return {path: value}
-    found: dict[str, object] = {}
+    entries: dict[str, object] = {}
     for key, entry in value.items():
         inner = f"{path}.{key}" if path else key
         if inner not in left_out:
-            found |= _flat(entry, left_out, inner)
-    return found
+            entries |= _flat(entry, left_out, inner)
+    return entries
 
 
 def _value_text(values: dict[str, object], key: str) -> str:
@@ -72,13 +72,13 @@ def _of_tables(one: Path, other: Path) -> str:
         return "the columns are others"
     if len(first) != len(second):
         return f"{len(first)} rows against {len(second)}"
-    found = {name: _column(first, second, name) for name in first.column_names}
-    differs = {name: rows for name, (rows, _) in found.items() if rows.any()}
+    columns = {name: _column(first, second, name) for name in first.column_names}
+    differs = {name: rows for name, (rows, _) in columns.items() if rows.any()}
     if not differs:
         return SAME_ROWS
     rows = np.logical_or.reduce(list(differs.values())).sum()
-    said = [f"{name} in {mask.sum()}{found[name][1]}" for name, mask in differs.items()]
-    return f"{rows} of {len(first)} rows differ: {_listed(said[:_MAX_COLUMNS], len(said))}"
+    changes = [f"{name} in {mask.sum()}{columns[name][1]}" for name, mask in differs.items()]
+    return f"{rows} of {len(first)} rows differ: {_listed(changes[:_MAX_COLUMNS], len(changes))}"
 
 
 def _rows(path: Path) -> pa.Table:
@@ -100,8 +100,8 @@ def _column(first: pa.Table, second: pa.Table, name: str) -> tuple[Mask, str]:
     return differs, f" by {most:.2g} at most" if most else ""
 
 
-def _listed(said: list[str], count: int) -> str:
-    return "; ".join([*said, *([f"and {count - len(said)} more"] if count > len(said) else [])])
+def _listed(texts: list[str], count: int) -> str:
+    return "; ".join([*texts, *([f"and {count - len(texts)} more"] if count > len(texts) else [])])
 
 
 VERSION_KEYS = ("versions", "truth_versions", "plugins", "plugins_sha256", "backend")  # programs in `run.json`
@@ -218,13 +218,13 @@ def _compared(stored: Path, again: Path, name: str, listed: FileList, made: File
 
 def _damage(folder: Path, name: str, listed: FileList) -> str:
     """Damage of a stored file; empty if there is none, or if nothing is known of the file."""
-    found = _file(folder, name)
-    if found is None:
+    entry = _file(folder, name)
+    if entry is None:
         return "is missing" if name in listed or not listed else ""
-    if name not in listed or found == listed[name]:
+    if name not in listed or entry == listed[name]:
         return ""
-    if found["bytes"] != listed[name]["bytes"]:
-        return f"has {found['bytes']} bytes, and was written with {listed[name]['bytes']}"
+    if entry["bytes"] != listed[name]["bytes"]:
+        return f"has {entry['bytes']} bytes, and was written with {listed[name]['bytes']}"
     return "is not what was written: its SHA-256 is another"
 
 

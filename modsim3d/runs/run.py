@@ -165,16 +165,16 @@ def write_run(
             directory.write_live_own_ships(total.steps)
             with directory.completing():
                 truncation = total.boxes.truncation(scene)
-            known = {**settings, **directory.live_settings(total.steps)}
+            entries = {**settings, **directory.live_settings(total.steps)}
             seconds = time.perf_counter() - started
             checked = {"crosscheck": asdict(total.checked)}
             if truth_run is not None:
                 checked = {key: truth_run[key] for key in checked if key in truth_run}
             counts = {
                 "counts": asdict(Counts.total(total.camera_counts)),
-                "camera_counts": {name: asdict(each) for name, each in total.camera_counts.items()},
+                "camera_counts": {name: asdict(numbers) for name, numbers in total.camera_counts.items()},
             }
-            directory.finish({**known, **counts, "truncation": truncation, **checked}, _log(total, seconds))
+            directory.finish({**entries, **counts, "truncation": truncation, **checked}, _log(total, seconds))
     names = scene.occluder_names
     intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
     return RunResult(
@@ -328,8 +328,8 @@ def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, o
     scene_seed = None if run.scene.truth_has_seed else seed
     if run.scene.labels is not None and run.scene.labels.detections is not None:
         if not (detector.get("detector") or detector.get("state_from")):
-            told = "has the detections of a real detector, which no seed and no setting changes"
-            raise ModsimError(f"{run.folder}: {told}: give a detector, which works on the labels in its place")
+            reason = "has the detections of a real detector, which no seed and no setting changes"
+            raise ModsimError(f"{run.folder}: {reason}: give a detector, which works on the labels in its place")
         poses = run.scene.copy.document["poses"][LABELS]
         settings = {**settings, f"poses.{LABELS}": {**(poses if isinstance(poses, dict) else {"file": poses}),
                                                     "simulated": True}}  # fmt: skip

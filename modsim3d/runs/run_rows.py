@@ -89,8 +89,8 @@ class RunRows(Result):
     def in_cameras(self, cameras: Sequence[int]) -> Self:
         """The rows of some cameras, by their indices; frames keep their numbers."""
         count = len(self.scene.cameras)
-        frames, truth, found = (
-            np.isin(each % count, cameras) for each in (self.frames, self.truth_frame, self.detection_frame)
+        frames, truth, detections = (
+            np.isin(frame % count, cameras) for frame in (self.frames, self.truth_frame, self.detection_frame)
         )
         return replace(
             self,
@@ -100,9 +100,9 @@ class RunRows(Result):
             truth=self.truth.filter(pa.array(truth)),
             truth_frame=self.truth_frame[truth],
             truth_vessel=self.truth_vessel[truth],
-            detections=self.detections.filter(pa.array(found)),
-            detection_frame=self.detection_frame[found],
-            detection_vessel=self.detection_vessel[found],
+            detections=self.detections.filter(pa.array(detections)),
+            detection_frame=self.detection_frame[detections],
+            detection_vessel=self.detection_vessel[detections],
         )
 
     def states_of(self, frames: Indices) -> Indices:

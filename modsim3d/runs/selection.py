@@ -63,11 +63,11 @@ class Selection:
 def select_cameras(run: StoredRun, names: str | Sequence[str] | None) -> tuple[int, ...]:
     """Indices of the cameras with these names, of all if there is none. Raises ModsimError for an unknown name."""
     names = [names] if isinstance(names, str) else names or ()
-    known = [camera.name for camera in run.scene.cameras]
-    unknown = [name for name in names if name not in known]
+    cameras = [camera.name for camera in run.scene.cameras]
+    unknown = [name for name in names if name not in cameras]
     if unknown:
-        raise ModsimError(f"{run.folder} has no camera '{', '.join(unknown)}'; it has: {', '.join(known)}")
-    return tuple(known.index(name) for name in dict.fromkeys(names)) or tuple(range(len(known)))
+        raise ModsimError(f"{run.folder} has no camera '{', '.join(unknown)}'; it has: {', '.join(cameras)}")
+    return tuple(cameras.index(name) for name in dict.fromkeys(names)) or tuple(range(len(cameras)))
 
 
 def check_every(every: object) -> None:
@@ -95,14 +95,14 @@ def select(
     if not len(steps):
         raise ModsimError(f"no frames between {start_s:g} s and {end_s:g} s: {span(run)}")
     durations = _durations(times, steps, every)
-    found = Selection(run, cameras, tuple(steps.tolist()), durations)
+    selection = Selection(run, cameras, tuple(steps.tolist()), durations)
     if not only_with_vessels:
-        return found
-    with_vessels = np.array([any(frame and len(frame.truth) for frame in at.frames) for at in found.step_frames()])
+        return selection
+    with_vessels = np.array([any(frame and len(frame.truth) for frame in at.frames) for at in selection.step_frames()])
     if not with_vessels.any():
-        names = ", ".join(found.camera_names)
+        names = ", ".join(selection.camera_names)
         raise ModsimError(f"no vessel is in an image of {names} in {len(steps)} frames; {span(run)}")
-    return replace(found, steps=tuple(steps[with_vessels].tolist()), durations_s=durations[with_vessels])
+    return replace(selection, steps=tuple(steps[with_vessels].tolist()), durations_s=durations[with_vessels])
 
 
 def find_step(run: StoredRun, text: str) -> int:
@@ -133,10 +133,10 @@ def times_of(run: StoredRun) -> Array:
 def span(run: StoredRun) -> str:
     """The steps and times that a run has, in words."""
     first, last = run.scene.timestamps(0, 1)[0], run.scene.timestamps(run.steps - 1, run.steps)[0]
-    there = f"steps 0 to {run.steps - 1}, {first} s to {last} s"
+    extent = f"steps 0 to {run.steps - 1}, {first} s to {last} s"
     if run.finished:
-        return f"the run has {there}"
-    return f"the run was interrupted; of {run.scene.steps} steps there are {there}"
+        return f"the run has {extent}"
+    return f"the run was interrupted; of {run.scene.steps} steps there are {extent}"
 
 
 def _durations(times: Array, steps: Indices, every: int) -> Array:

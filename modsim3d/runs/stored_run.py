@@ -112,7 +112,7 @@ class StoredRun(Result):
         Raises:
             ModsimError: There is no such camera or no such step, or the camera took no frame then.
         """
-        cameras = [each.name for each in self.scene.cameras]
+        cameras = [scene_camera.name for scene_camera in self.scene.cameras]
         if camera not in cameras:
             raise ModsimError(f"{self.folder}: there is no camera '{camera}' ({nearest(camera, cameras)})")
         if not 0 <= step < self.steps:

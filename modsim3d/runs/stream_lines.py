@@ -86,12 +86,12 @@ def _lines_of(block: Block, scene: Scene, streams: Streams) -> Iterator[StepLine
     for row, time_s in enumerate(scene.times_s(block.first, block.stop).tolist()):
         step = block.first + row
         taken = [
-            (name, None if known is None else known[row], lines[step])
-            for name, known, lines in cameras
+            (name, None if series is None else series[row], lines[step])
+            for name, series, lines in cameras
             if step in lines
         ]
         if taken:
-            lines = tuple(_with_camera(line, name, len(taken), known) for name, known, line in taken)
+            lines = tuple(_with_camera(line, name, len(taken), attitude) for name, attitude, line in taken)
         else:
             lines = (orjson.dumps({"frames_in_step": 0, "time_s": time_s, "step": step}) + b"\n",)
         yield StepLines(step, time_s, lines)
@@ -103,7 +103,7 @@ def _attitudes(block: Block, scene: Scene, streams: Streams) -> dict[str | None,
         return {}
     measured = measured_attitudes_at(scene, streams, block.first, block.stop)
     return {
-        scene.vessel_names[vessel]: [orjson.dumps(each) for each in measured[:, column].tolist()]
+        scene.vessel_names[vessel]: [orjson.dumps(angles) for angles in measured[:, column].tolist()]
         for column, vessel in enumerate(scene.own_ships)
     }
 
@@ -174,14 +174,14 @@ class Address:
                 f"--to '{text}': is neither - (standard output) nor tcp://ADDRESS:PORT ({_EXAMPLE}); "
                 "for a file use --to - > FILE"
             )
-        found = _TCP.fullmatch(text)
-        if found is None:
+        match = _TCP.fullmatch(text)
+        if match is None:
             raise ModsimError(f"--to '{text}': an address and a port are needed: {_EXAMPLE}")
-        if (port := int(found["port"])) > 65535:
+        if (port := int(match["port"])) > 65535:
             raise ModsimError(f"--to '{text}': a port is a number from 0 to 65535 (got {port})")
-        host = found["six"] or ("127.0.0.1" if found["four"] == "localhost" else found["four"])
+        host = match["six"] or ("127.0.0.1" if match["four"] == "localhost" else match["four"])
         try:
-            (ipaddress.IPv6Address if found["six"] else ipaddress.IPv4Address)(host)
+            (ipaddress.IPv6Address if match["six"] else ipaddress.IPv4Address)(host)
         except ValueError:
             raise ModsimError(f"--to '{text}': '{host}' is no IP address of this computer: {_EXAMPLE}") from None
         return cls(host, port)

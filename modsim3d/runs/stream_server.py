@@ -190,8 +190,8 @@ class LineServer:
         self._changed = threading.Condition()
         self._waker, self._woken = socket.socketpair()
         self._selector = selectors.DefaultSelector()
-        for each in (self._listener, self._waker, self._woken):
-            each.setblocking(False)
+        for endpoint in (self._listener, self._waker, self._woken):
+            endpoint.setblocking(False)
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
         self._selector.register(self._woken, selectors.EVENT_READ, self._wake_up)
         self._thread = threading.Thread(target=self._run, name="modsim3d readers", daemon=True)
@@ -266,7 +266,7 @@ class LineServer:
                 with self._changed:
                     timeouts = [self._prepared(reader) for reader in list(self._readers)]
                     self._changed.notify_all()
-                events = self._selector.select(min((each for each in timeouts if each is not None), default=None))
+                events = self._selector.select(min((wait for wait in timeouts if wait is not None), default=None))
                 with self._changed:
                     for key, _ in events:
                         key.data()
@@ -359,5 +359,5 @@ class LineServer:
             for reader in list(self._readers):
                 self._remove(reader, "is disconnected")
             self._changed.notify_all()
-        for each in (self._selector, self._listener, self._waker, self._woken):
-            each.close()
+        for resource in (self._selector, self._listener, self._waker, self._woken):
+            resource.close()

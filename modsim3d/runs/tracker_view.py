@@ -59,7 +59,7 @@ def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
 
 def detection_lines(detections: Detections, labels: Sequence[str], steps: Indices, times_s: Array) -> bytes:
     """Detections as a tracker may read them, one line for each frame; steps and times have shape (S,)."""
-    found = TrackerDetections.of(detections)
+    rows = TrackerDetections.of(detections)
     names = [b'],"label":' + orjson.dumps(label) + b',"confidence":' for label in labels]
     heads = [
         b'{"time_s":' + time_s + b',"step":' + step + b',"detections":['
@@ -68,10 +68,10 @@ def detection_lines(detections: Detections, labels: Sequence[str], steps: Indice
     return frame_lines(
         heads,
         b"]}\n",
-        found.frame,
+        rows.frame,
         b'{"box_px":[',
-        found.boxes_px,
-        [names[label] for label in found.label.tolist()],
-        found.confidence,
+        rows.boxes_px,
+        [names[label] for label in rows.label.tolist()],
+        rows.confidence,
         b"}",
     )

@@ -128,7 +128,7 @@ def _frames_of_few(scene: Scene) -> list[FrameKey]:
     steps = [scene.frame_steps(camera, 0, scene.steps).tolist() for camera in scene.cameras]
     frames = [(step, index) for index, own in enumerate(steps) for step in own]
     mixed = _streams(scene).generator(Purpose.CHECK, step=0).permutation(len(frames)).tolist()
-    return sorted((frames[i] for i in mixed), key=lambda each: not _has_a_vessel(scene, *each))[: frame_count(scene)]
+    return sorted((frames[i] for i in mixed), key=lambda frame: not _has_a_vessel(scene, *frame))[: frame_count(scene)]
 
 
 def _streams(scene: Scene) -> Streams:
@@ -173,7 +173,7 @@ def _frames_of_stream(scene: Scene, first: int, stop: int) -> Iterator[FrameKey]
             since = 0 if before is None else before + 1
             parts = range(since // STREAM_STEPS, step // STREAM_STEPS + 1)
             asked = (_step_of_stream(scene, part) for part in parts)
-            if any(since <= each <= step and camera == index for each, camera in asked):
+            if any(since <= check_step <= step and camera == index for check_step, camera in asked):
                 yield step, index
 
 
@@ -181,7 +181,7 @@ def _steps_before(scene: Scene, step: int) -> int:
     """At how many steps before one any camera took a frame, counted up to `MIN_FRAMES`."""
     for count in range(MIN_FRAMES):
         before = [scene.last_frame(camera, step) for camera in scene.cameras]
-        step = max((each for each in before if each is not None), default=-1)
+        step = max((prior for prior in before if prior is not None), default=-1)
         if step < 0:
             return count
     return MIN_FRAMES
@@ -207,7 +207,7 @@ def _check_frames(
     checked, seen = CheckCounts(), truth.of_camera(camera)
     for frame, step in enumerate(steps.tolist()):
         rows = np.flatnonzero((outlines.frame == frame) & outlines.boxed & ~np.isnan(areas))
-        said = FrameValues(
+        facts = FrameValues(
             seen.take(slice(*np.searchsorted(seen.step, (step, step + 1)).tolist())),
             spans_of_frame(spans[0], outlines, frame),
             spans_of_frame(spans[1], outlines, frame),
@@ -217,7 +217,7 @@ def _check_frames(
         boxed = set(np.flatnonzero(sight.others[frame]).tolist())
         try:
             drawing = sight.drawing(frame, supersample)
-            checked += check_frame(drawing, renderer, said, boxed, scene.occluder_names, whole=(step, camera) == whole)
+            checked += check_frame(drawing, renderer, facts, boxed, scene.occluder_names, whole=(step, camera) == whole)
         except Difference as difference:
             raise TruthCheckError(_in_words(scene, camera, step, difference), difference.masks) from None
     return checked
@@ -226,15 +226,15 @@ def _check_frames(
 def _in_words(scene: Scene, camera: int, step: int, difference: Difference) -> str:
     name, vessel = scene.cameras[camera].name, scene.vessel_names[difference.vessel]
     time_s = scene.timestamps(step, step + 1)[0]
-    said = (
+    message = (
         "cross-check: the truth is not what OpenGL draws, which is an error in modsim3d or in OpenGL: "
         f"vessel '{vessel}' in camera {name} at step {step} (time {time_s} s): {difference.what}: "
         f"{difference.truth} in the truth, {difference.drawn} drawn"
     )
     if scene.path == NO_FILE:
-        return said
+        return message
     return (
-        f"{said}. To see what is drawn:\n"
+        f"{message}. To see what is drawn:\n"
         f"  modsim3d run {quote(str(scene.path))} --seed {scene.seed} --steps {step + 1} --set annotation.check=off "
         f"--set annotation.supersample={scene.annotation.supersample} --out unchecked\n"
         f"  modsim3d view frame unchecked {step} --kind id_buffer --camera {quote(name)}"

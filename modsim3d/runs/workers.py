@@ -52,8 +52,8 @@ class BoxSample:
         pieces, counts = [_NO_ROWS], Counter[int]()
         for part in block.cameras:
             detections, truth = part.detections, part.truth
-            found = np.flatnonzero(detections.kind == TRUE)
-            rows, state = part.truth_row[found], detections.states[detections.frame[found]]
+            hits = np.flatnonzero(detections.kind == TRUE)
+            rows, state = part.truth_row[hits], detections.states[detections.frame[hits]]
             keys = np.stack([truth.step[rows], truth.vessel[rows], truth.camera[rows]], axis=1) @ _MIX % _RANGE
             boxes = annotation_boxes(truth, scene.annotation.mode)[rows]
             pieces.append(np.column_stack([keys, state, truth.camera[rows], boxes]))
@@ -71,12 +71,12 @@ class BoxSample:
         source = BoxErrorSource.from_model(scene.detector)
         report = {}
         for index, performance in enumerate(scene.detector.states):
-            ours = self.rows[self.rows[:, 1] == index]
-            if not len(ours):
+            own_rows = self.rows[self.rows[:, 1] == index]
+            if not len(own_rows):
                 continue
             kept = []
             for number, camera in enumerate(scene.cameras):
-                boxes, image = ours[ours[:, 2] == number, 3:], camera.intrinsics.image_size_px
+                boxes, image = own_rows[own_rows[:, 2] == number, 3:], camera.intrinsics.image_size_px
                 kept.append(truncated_errors(source, index, boxes, image, in_file_units=True, points=POINTS_A_BOX))
             means = np.concatenate([part.means for part in kept])
             mean = means.mean(axis=0)
@@ -84,7 +84,7 @@ class BoxSample:
             report[performance.name] = {
                 "unit": performance.box_error.unit,
                 "detections": self.counts[index],
-                "boxes": len(ours),
+                "boxes": len(own_rows),
                 "redrawn": _rounded(1 - np.concatenate([part.accepted for part in kept]).mean()),
                 "mean": _rounded(mean),
                 "mean_shift": _rounded(mean - performance.box_error.mean),
@@ -97,10 +97,10 @@ class BoxSample:
 def _least(rows: Array) -> Array:
     kept = [_NO_ROWS]
     for state in np.flatnonzero(np.bincount(rows[:, 1].astype(np.int64))):  # np.unique imports masked arrays
-        ours = rows[rows[:, 1] == state]
-        if len(ours) > BOXES_A_STATE:  # few rows are sorted faster than many
-            ours = ours[ours[:, 0] <= np.partition(ours[:, 0], BOXES_A_STATE - 1)[BOXES_A_STATE - 1]]
-        kept.append(ours[np.lexsort((*ours.T[:1:-1], ours[:, 0]))][:BOXES_A_STATE])
+        own_rows = rows[rows[:, 1] == state]
+        if len(own_rows) > BOXES_A_STATE:  # few rows are sorted faster than many
+            own_rows = own_rows[own_rows[:, 0] <= np.partition(own_rows[:, 0], BOXES_A_STATE - 1)[BOXES_A_STATE - 1]]
+        kept.append(own_rows[np.lexsort((*own_rows.T[:1:-1], own_rows[:, 0]))][:BOXES_A_STATE])
     return np.concatenate(kept)
 
 
@@ -191,8 +191,8 @@ class BlockMaker:
         """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks. Truth
         that is new is kept, at the latest when the context ends, unless the cross-check finds it wrong."""
         try:
-            with self._truth_and_kept(folder, first, stop) as found:
-                yield found
+            with self._truth_and_kept(folder, first, stop) as truth:
+                yield truth
         except TruthCheckError:
             kept_truth_path(folder, first, stop).unlink(missing_ok=True)
             raise

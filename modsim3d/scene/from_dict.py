@@ -59,7 +59,7 @@ def _arrays(content: dict[str, Any], data: Mapping[str, Any]) -> Mapping[str, An
     """The section `poses` if it has arrays or labels; otherwise the content gets it."""
     poses = data.get("poses")
     if isinstance(poses, Mapping) and isinstance(poses.get(LABELS), LabelledPoses):
-        content["poses"] = {LABELS: {"file": FILE, **{key: each for key, each in poses.items() if key != LABELS}}}
+        content["poses"] = {LABELS: {"file": FILE, **{key: entry for key, entry in poses.items() if key != LABELS}}}
         return poses
     if isinstance(poses, Mapping) and any(key in poses for key in KEYS):
         content["poses"] = {"file": FILE}

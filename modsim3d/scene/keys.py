@@ -377,12 +377,12 @@ class LabelledSceneKeys(SceneKeys):
 
     @model_validator(mode="after")
     def _nothing_of_the_world(self) -> LabelledSceneKeys:
-        known = ("steps", "seed", "detector_seed", "poses", "annotation", "detector")
-        if stray := sorted(name for name in self.model_fields_set if name not in known and getattr(self, name)):
+        keys = ("steps", "seed", "detector_seed", "poses", "annotation", "detector")
+        if stray := sorted(name for name in self.model_fields_set if name not in keys and getattr(self, name)):
             raise ValueError(f"{', '.join(stray)}: not in a scene of labels, whose world is not known: leave out")
         if wrong := [key for key, value in OF_LABELS.items() if getattr(self.annotation, key) != value]:
-            told = ", ".join(f"annotation.{key}: {OF_LABELS[key]}" for key in wrong)
-            raise ValueError(f"a scene of labels has {told}")
+            values = ", ".join(f"annotation.{key}: {OF_LABELS[key]}" for key in wrong)
+            raise ValueError(f"a scene of labels has {values}")
         return self
 
 
@@ -407,8 +407,8 @@ BESIDE_LOOKS = re.compile(r"experiment|\d+")  # words of shipped names that say 
 @cache
 def usual_look(state: str) -> LookKeys | None:
     """The look of a performance state that its name tells, such as `foggy_cloudy`; None if a word of it is strange."""
-    known = load_yaml(LOOKS_FILE, "looks")
+    looks = load_yaml(LOOKS_FILE, "looks")
     words = [word for word in re.findall(r"[^\W_]+", state.lower()) if not BESIDE_LOOKS.fullmatch(word)]
-    if not words or not all(word in known for word in words):
+    if not words or not all(word in looks for word in words):
         return None
-    return LookKeys.model_validate({key: value for word in words for key, value in known[word].items()})
+    return LookKeys.model_validate({key: value for word in words for key, value in looks[word].items()})

@@ -89,8 +89,8 @@ def _distortion(data: Mapping[str, Any], key: str) -> dict[str, float]:
         raise ValueError(f"distortion_model: {shown(model)} is not known: only {', '.join(filter(None, _BROWN))} are")
     values = _numbers(data, key, COUNTS) if key in data else []
     if any(values[len(COEFFICIENTS) :]):
-        said = f"has more than {', '.join(COEFFICIENTS)}, and not all of the others are 0 ({shown(values[5:])})"
-        raise ValueError(f"{key}: {said}: calibrate with the model of five coefficients")
+        problem = f"has more than {', '.join(COEFFICIENTS)}, and not all of the others are 0 ({shown(values[5:])})"
+        raise ValueError(f"{key}: {problem}: calibrate with the model of five coefficients")
     return {name: value for name, value in zip(COEFFICIENTS, values, strict=False) if value}
 
 
@@ -108,7 +108,9 @@ def _numbers(data: Mapping[str, Any], key: str, counts: Sequence[int]) -> list[f
     entry: Any = given.get("data") if isinstance(given, dict) else given
     rows = entry if isinstance(entry, list) else [entry]
     values: list[Any] = [value for row in rows for value in (row if isinstance(row, list) else [row])]
-    if len(values) not in counts or not all(type(each) in (int, float) and abs(each) <= MAX_NUMBER for each in values):
+    if len(values) not in counts or not all(
+        type(value) in (int, float) and abs(value) <= MAX_NUMBER for value in values
+    ):
         needed = " or ".join(", ".join(map(str, counts)).rsplit(", ", 1))
         raise ValueError(f"{key}: {needed} numbers are needed (got {len(values)}: {shown(entry)})")
     return [float(value) for value in values]
@@ -148,10 +150,10 @@ def point_problem(point_px: tuple[float, float], image_size_px: tuple[int, int])
     width, height = image_size_px
     off = max(abs(at / side - 0.5) for at, side in zip(point_px, image_size_px, strict=True))
     turned = max(abs(at / side - 0.5) for at, side in zip(point_px, (height, width), strict=True))
-    said = f"the principal point ({point_px[0]:g}, {point_px[1]:g}) is "
+    subject = f"the principal point ({point_px[0]:g}, {point_px[1]:g}) is "
     if off > OFF_CENTRE and turned < off / 3:
-        return f"{said}in the middle of {height} × {width}, not of {width} × {height}: swap width and height"
-    return f"{said}outside the image of {width} × {height}: give both for the same image" if off >= 0.5 else ""
+        return f"{subject}in the middle of {height} × {width}, not of {width} × {height}: swap width and height"
+    return f"{subject}outside the image of {width} × {height}: give both for the same image" if off >= 0.5 else ""
 
 
 def resolved(name: str, camera: Mapping[str, Any], keys: CameraKeys, folder: Path) -> dict[str, Any]:
@@ -162,11 +164,11 @@ def resolved(name: str, camera: Mapping[str, Any], keys: CameraKeys, folder: Pat
     lens: dict[str, Any] = {} if keys.K is None else _of_matrix(keys.K)
     if keys.calibration is not None:
         try:
-            found = read_calibration(folder / keys.calibration, name)
+            reading = read_calibration(folder / keys.calibration, name)
         except InputError as error:
             problems = (f"{where}.calibration: {keys.calibration}: {problem}" for problem in error.problems)
             raise InputError(where, problems) from None
-        lens, size = _calibrated(where, keys.calibration, found, size)
+        lens, size = _calibrated(where, keys.calibration, reading, size)
     assert size is not None
     point = lens.setdefault("principal_point_px", list(keys.principal_point_px or (size[0] / 2, size[1] / 2)))
     if keys.focal_length_m is None and (problem := point_problem(point, size)):
@@ -185,16 +187,16 @@ def resolved(name: str, camera: Mapping[str, Any], keys: CameraKeys, folder: Pat
 
 
 def _calibrated(
-    where: str, file: str, found: Calibration, size: tuple[int, int] | None
+    where: str, file: str, reading: Calibration, size: tuple[int, int] | None
 ) -> tuple[dict[str, Any], tuple[int, int]]:
     """The keys of the lens in a calibration file, and the size of the images, which the scene may give too."""
-    named = found.image_size_px or size
+    named = reading.image_size_px or size
     if named is None:
         raise InputError(where, [f"{where}.image_size_px: missing, and {file} has none either: give it"])
     if size not in (None, named):
-        said = f"{list(size or ())} is not the size in {file}, {list(named)}"
-        raise InputError(where, [f"{where}.image_size_px: {said}: leave it out, or calibrate at this size"])
-    return _of_matrix(found.matrix) | ({"distortion": found.distortion} if found.distortion else {}), named
+        problem = f"{list(size or ())} is not the size in {file}, {list(named)}"
+        raise InputError(where, [f"{where}.image_size_px: {problem}: leave it out, or calibrate at this size"])
+    return _of_matrix(reading.matrix) | ({"distortion": reading.distortion} if reading.distortion else {}), named
 
 
 def _of_matrix(matrix: MatrixRows) -> dict[str, Any]:

@@ -125,7 +125,7 @@ def drawn_vessels(
         for vessel in vessels
         if vessel.name in (request.names or ())
     ]
-    problems += [each + key for each in _label_problems(vessels, labels)]
+    problems += [problem + key for problem in _label_problems(vessels, labels)]
     problems += _file_problems(entries, source.keys.files)
     if problems:
         raise InputError(section, problems[:MAX_PROBLEMS])
@@ -274,7 +274,7 @@ class SceneParts:
 
     def _keys(self) -> SceneKeys | None:
         cameras = self.data.get("cameras")
-        if wrong := [said for key, said in OTHER_FILES.items() if key in self.data and "poses" not in self.data]:
+        if wrong := [hint for key, hint in OTHER_FILES.items() if key in self.data and "poses" not in self.data]:
             self.problems += wrong
             return None
         model = LabelledSceneKeys if self.labelled else SceneKeys
@@ -288,10 +288,10 @@ class SceneParts:
                 if not CAMERA_NAME.fullmatch(str(name))
             ]
             given = [(name, camera) for name, camera in cameras.items() if isinstance(camera, dict)]
-            found = [f"cameras.{name}{problem}" for name, camera in given for problem in form_problems(camera)]
-            self.problems += found[:MAX_PROBLEMS]
-            if len(found) > MAX_PROBLEMS:
-                self.problems.append(f"… and {len(found) - MAX_PROBLEMS:,} more problems in cameras")
+            problems = [f"cameras.{name}{problem}" for name, camera in given for problem in form_problems(camera)]
+            self.problems += problems[:MAX_PROBLEMS]
+            if len(problems) > MAX_PROBLEMS:
+                self.problems.append(f"… and {len(problems) - MAX_PROBLEMS:,} more problems in cameras")
         keys = self._validated(model)
         return keys if self.problems or keys is None else self._with_lenses(keys)
 
@@ -345,11 +345,11 @@ class SceneParts:
     def _obstacles(self) -> tuple[Obstacle, ...]:
         if self.keys is None:
             return ()
-        found = []
+        obstacles = []
         for name, entry in self.keys.obstacles.items():
             read = partial(read_obstacle, name, entry, self.meshes, self.folder, self.name)
-            found.append(self._collect(read))
-        return tuple(obstacle for obstacle in found if obstacle is not None)
+            obstacles.append(self._collect(read))
+        return tuple(obstacle for obstacle in obstacles if obstacle is not None)
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")

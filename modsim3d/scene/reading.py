@@ -58,7 +58,7 @@ def scene_problems(scene: Scene) -> list[str]:
     for first in range(0, scene.steps, CHECKED_STEPS):
         steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
         misplaced.update(place_problems(scene, steps, leave_out=misplaced))
-    return problems + [problem for found in misplaced.values() for problem in found]
+    return problems + [problem for faults in misplaced.values() for problem in faults]
 
 
 def _live_problems(scene: Scene) -> list[str]:
@@ -105,15 +105,15 @@ def _frame_problem(scene: Scene, camera: Camera) -> str | None:
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
     """Problems of each camera's place at some ascending steps of shape (S,): it has no pose, or is inside a body. They
     are by the name of the camera, without cameras that have no problem and those to leave out."""
-    found, calm = {}, None
+    problems, calm = {}, None
     for camera in scene.cameras:
         if camera.name not in leave_out:
             try:
                 calm = calm or scene.own_motion.at(steps)
                 _check_place(scene, scene.sight(camera, steps, calm))
             except InputError as error:
-                found[camera.name] = error.problems
-    return found
+                problems[camera.name] = error.problems
+    return problems
 
 
 def _check_place(scene: Scene, calm: Sight) -> None:
@@ -159,7 +159,7 @@ def find_scene(scene: StrPath) -> Path:
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"scene {shown(name)}", [f"cannot be read: {why}"]) from None
     if exists and not (folder and name in shipped):
-        in_folder = (path / SCENE_FILE, *(path / "scene" / f"{each}.json" for each in _scenes_of_run(path)))
+        in_folder = (path / SCENE_FILE, *(path / "scene" / f"{stem}.json" for stem in _scenes_of_run(path)))
         return next((file for file in in_folder if folder and file.is_file()), path)
     if name in shipped:
         return shipped[name]
@@ -253,7 +253,7 @@ def assembled(parts: SceneParts) -> Scene:
         steps=keys.steps or (MAX_STEPS if live else len(poses.timestamps)),
         vessels=vessels,
         poses=poses,
-        cameras=tuple(each.camera for each in poses.sequences)
+        cameras=tuple(sequence.camera for sequence in poses.sequences)
         if isinstance(poses, LabelledPoses)
         else tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
         annotation=Annotation(**keys.annotation.model_dump()),
@@ -287,7 +287,7 @@ def _camera(name: str, keys: CameraKeys) -> Camera:
     else:
         intrinsics = Intrinsics.from_lens(keys.focal_length_m or 0.0, keys.pixel_size_m or (0.0, 0.0), *rest)
     place = keys.mount or keys.pose
-    values: Mapping[str, Any] = {} if place is None else place.model_dump(exclude={f"{each}_deg" for each in ANGLES})
+    values: Mapping[str, Any] = {} if place is None else place.model_dump(exclude={f"{angle}_deg" for angle in ANGLES})
     return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)
 
 

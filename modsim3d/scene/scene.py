@@ -231,8 +231,8 @@ class Scene:
             return None
         poses = self.poses.poses(0, self.steps)
         sizes = (np.round(vessel.extents_m, _SAME_DECIMALS).tolist() for vessel in self.vessels)
-        said = [(vessel.name, vessel.label, *size) for vessel, size in zip(self.vessels, sizes, strict=True)]
-        digest = hashlib.sha256(repr(said).encode())
+        entries = [(vessel.name, vessel.label, *size) for vessel, size in zip(self.vessels, sizes, strict=True)]
+        digest = hashlib.sha256(repr(entries).encode())
         digest.update(poses.present.tobytes())
         for values in (poses.positions_m, poses.headings_rad):
             digest.update((np.round(values, _SAME_DECIMALS) + 0.0).tobytes())

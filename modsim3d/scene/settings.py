@@ -274,9 +274,9 @@ def choose_detector(
     try:
         _, model = whole.detector_of(file)
     except InputError as error:
-        known = whole.named(f"{source}: {problem}" for problem in error.problems)
+        problems = whole.named(f"{source}: {problem}" for problem in error.problems)
         raise InputError(
-            source, [problem.removeprefix(f"{source}: ") for problem in (*whole.problems, *known)]
+            source, [problem.removeprefix(f"{source}: ") for problem in (*whole.problems, *problems)]
         ) from None
     if whole.problems:
         raise InputError(source, whole.problems)

@@ -179,13 +179,13 @@ class Snapshot(Result):
             ModsimError: There is no such camera or vessel.
             RendererError: There is no OpenGL library.
         """
-        return self._drawn(camera, _place(vessel, [each.name for each in self.vessels], "vessel")) > 0
+        return self._drawn(camera, _place(vessel, [entry.name for entry in self.vessels], "vessel")) > 0
 
     def _drawn(self, camera: str, vessel: int | None = None) -> Ids:
         from modsim3d.render.context import open_context  # no OpenGL where none is needed
         from modsim3d.render.id_pass import IdRenderer
 
-        sight = self.sights[_place(camera, [each.camera.name for each in self.sights], "camera")]
+        sight = self.sights[_place(camera, [view.camera.name for view in self.sights], "camera")]
         drawing = sight.drawing(0, self.supersample)
         with open_context() as context:
             return (drawing if vessel is None else drawing.only(vessel)).ids(IdRenderer(context), drawing.image)

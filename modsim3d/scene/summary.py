@@ -88,10 +88,10 @@ def sampled_tracks(scene: Scene) -> HullTracks | None:
     if scene.live or scene.labels is not None:
         return None
     steps = np.unique(np.linspace(0, scene.steps - 1, min(scene.steps, MAX_STEPS)).astype(np.int64))
-    found = [scene.poses.poses(step, step + 1) for step in steps.tolist()]
-    present = np.concatenate([each.present for each in found])
-    places = np.concatenate([each.positions_m[..., :2] for each in found])
-    headings = np.concatenate([each.headings_rad for each in found])
+    samples = [scene.poses.poses(step, step + 1) for step in steps.tolist()]
+    present = np.concatenate([sample.present for sample in samples])
+    places = np.concatenate([sample.positions_m[..., :2] for sample in samples])
+    headings = np.concatenate([sample.headings_rad for sample in samples])
     return HullTracks(
         times_s=scene.times_s(0, scene.steps)[steps],
         centres_m=np.where(present[..., None], places, np.nan),
@@ -130,8 +130,8 @@ def vessel_types(scene: Scene, tracks: HullTracks | None) -> list[VesselType]:
     for label in dict.fromkeys(labels.tolist()):
         members = np.flatnonzero(labels == label)
         sides = np.array([scene.vessels[index].extents_m for index in members.tolist()]).T
-        known = (values[np.isfinite(values)].tolist() for values in (*sides, speeds[:, members]))
-        spans = ((min(values), max(values)) if values else None for values in known)
+        numbers = (values[np.isfinite(values)].tolist() for values in (*sides, speeds[:, members]))
+        spans = ((min(values), max(values)) if values else None for values in numbers)
         types.append(VesselType(label, len(members), *spans))
     return types
 
@@ -166,8 +166,8 @@ def doubts(scene: Scene, tracks: HullTracks | None) -> list[str]:
     if tracks is not None:
         through = (_through(scene, tracks, obstacle) for obstacle in scene.obstacles)
         kinds += [_fast(scene, tracks), *through, _in_one_place(scene, tracks)]
-    found = [(first, len(more)) for first, *more in filter(None, map(list, kinds))]
-    return [first + (f" (and {more} more like it)" if more else "") for first, more in found]
+    firsts = [(first, len(more)) for first, *more in filter(None, map(list, kinds))]
+    return [first + (f" (and {more} more like it)" if more else "") for first, more in firsts]
 
 
 def _narrow(scene: Scene) -> Iterator[str]:
@@ -185,8 +185,8 @@ def _sizes(scene: Scene, key: str) -> Iterator[str]:
             usual = f"vessels are {low} to {high} m {word}"
             yield f"vessel '{vessel.name}' is {value:g} m {word}, and {usual}: {key} is in metres"
         elif key == "length_m" and value < vessel.beam_m:
-            said = f"is {value:g} m long and {vessel.beam_m:g} m wide"
-            yield f"vessel '{vessel.name}' {said}: are length_m and beam_m swapped?"
+            size = f"is {value:g} m long and {vessel.beam_m:g} m wide"
+            yield f"vessel '{vessel.name}' {size}: are length_m and beam_m swapped?"
 
 
 def _fast(scene: Scene, tracks: HullTracks) -> Iterator[str]:
@@ -195,8 +195,8 @@ def _fast(scene: Scene, tracks: HullTracks) -> Iterator[str]:
     large = np.minimum(LARGE_M15_S / np.sqrt(length), MAX_SPEED_M_S)
     most = np.minimum(MAX_FROUDE * np.sqrt(GRAVITY_M_S2 * length), large)
     for index in np.flatnonzero(speeds > most).tolist():
-        said = f"{speeds[index]:.3g} m/s, and {length[index]:g} m long it can hardly do more than {most[index]:.2g}"
-        yield f"vessel '{scene.vessel_names[index]}' does {said}: look at its path, its times and their units"
+        speed = f"{speeds[index]:.3g} m/s, and {length[index]:g} m long it can hardly do more than {most[index]:.2g}"
+        yield f"vessel '{scene.vessel_names[index]}' does {speed}: look at its path, its times and their units"
 
 
 def _through(scene: Scene, tracks: HullTracks, obstacle: Obstacle) -> Iterator[str]:
@@ -208,26 +208,26 @@ def _through(scene: Scene, tracks: HullTracks, obstacle: Obstacle) -> Iterator[s
         if not shapely.intersects(area, around[index]):  # false for one that is never there
             continue
         path = tracks.centres_m[:, index]
-        there = np.flatnonzero(np.isfinite(path[:, 0]))
-        legs = there[:-1][np.diff(there) == 1]
+        steps = np.flatnonzero(np.isfinite(path[:, 0]))
+        legs = steps[:-1][np.diff(steps) == 1]
         crossed = shapely.intersects(area, shapely.linestrings(np.stack([path[legs], path[legs + 1]], axis=1)))
-        rows = np.concatenate([there[shapely.contains_xy(area, *path[there].T)], legs[crossed]])
+        rows = np.concatenate([steps[shapely.contains_xy(area, *path[steps].T)], legs[crossed]])
         if len(rows):
-            said = f"obstacle '{obstacle.name}' {tracks.times_s[rows.min()]:g} s after the first step"
+            place = f"obstacle '{obstacle.name}' {tracks.times_s[rows.min()]:g} s after the first step"
             bridge = f"move one of them; under a bridge that has a base_m above {vessel.air_draft_m:g} it can pass"
-            yield f"the path of vessel '{vessel.name}' leads through {said}: {bridge}"
+            yield f"the path of vessel '{vessel.name}' leads through {place}: {bridge}"
 
 
 def _in_one_place(scene: Scene, tracks: HullTracks) -> Iterator[str]:
-    told, names = set(), scene.vessel_names
+    pairs, names = set(), scene.vessel_names
     for row in range(0, len(tracks.times_s), 1 + tracks.headings_rad.size * len(names) // MAX_COMPARED):
         centres, headings = tracks.centres_m[row], tracks.headings_rad[row][:, None]
         x, y = np.moveaxis(centres - centres[:, None], -1, 0)
         along, across = (x * np.cos(headings) + y * np.sin(headings)), (y * np.cos(headings) - x * np.sin(headings))
         inside = (np.abs(along) < tracks.half_sizes_m[:, :1]) & (np.abs(across) < tracks.half_sizes_m[:, 1:])
         for pair in np.argwhere(np.triu(inside | inside.T, 1)).tolist():
-            if tuple(pair) not in told:
-                told.add(tuple(pair))
+            if tuple(pair) not in pairs:
+                pairs.add(tuple(pair))
                 one, other = (names[index] for index in pair)
                 when = f"{tracks.times_s[row]:g} s after the first step"
                 yield f"vessels '{one}' and '{other}' are in one place {when}: move one of them"

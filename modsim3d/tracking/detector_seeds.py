@@ -69,8 +69,8 @@ def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[P
     tracker is not known."""
     if not MIN_SEEDS <= seeds <= MAX_SEEDS:
         raise ModsimError(f"--seeds must be from {MIN_SEEDS} to {MAX_SEEDS} (got {seeds})")
-    own = [each for each in track_sets if each.origin is None or each.origin.package.startswith("command ")]
-    unknown = [f"{path}" for path in in_world] + [each.name for each in own]
+    own = [tracks for tracks in track_sets if tracks.origin is None or tracks.origin.package.startswith("command ")]
+    unknown = [f"{path}" for path in in_world] + [tracks.name for tracks in own]
     if unknown:
         raise ModsimError(
             f"--seeds runs the tracker again, and nothing says which one made '{unknown[0]}': give folders that "
@@ -95,21 +95,21 @@ def spread_over_seeds(
     `check_seeds`. `progress` is called with the number of seeds done since its last call."""
     names = [camera.name for camera in run.scene.cameras]
     cameras = tuple(index for index, name in enumerate(names) if not rules.cameras or name in rules.cameras)
-    found: dict[str, list[Keys]] = {}
+    scores: dict[str, list[Keys]] = {}
     seeds = []
     for seed, whole in detector_runs(run, count):
         rows = whole.in_cameras(cameras)
         sequences = sequences_of(rows, cameras)
-        for each in track_sets:
-            assert each.origin is not None  # check_seeds has seen it
-            named = named_tracker(each.origin.tracker, each.origin.settings, run.scene.name)
+        for track_set in track_sets:
+            assert track_set.origin is not None  # check_seeds has seen it
+            named = named_tracker(track_set.origin.tracker, track_set.origin.settings, run.scene.name)
             tracks = tracked(named, sequences, cameras, rows.scene)
-            found.setdefault(each.name, []).append(keys_of(score_tracks(rows, tracks, rules)))
+            scores.setdefault(track_set.name, []).append(keys_of(score_tracks(rows, tracks, rules)))
         for name, tracks in reference_tracks(rows, rules).items():
-            found.setdefault(name, []).append(keys_of(score_tracks(rows, tracks, rules)))
+            scores.setdefault(name, []).append(keys_of(score_tracks(rows, tracks, rules)))
         seeds.append(seed)
         progress(1)
     spreads = {
-        name: {key: Spread(tuple(keys[key] for keys in every)) for key in SPREAD_KEYS} for name, every in found.items()
+        name: {key: Spread(tuple(keys[key] for keys in every)) for key in SPREAD_KEYS} for name, every in scores.items()
     }
     return SeedSpread(tuple(seeds), spreads)

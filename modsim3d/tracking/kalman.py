@@ -76,14 +76,14 @@ class MotionEstimates:
 
     def take(self, chosen: Mask | Indices) -> Self:
         """The chosen rows."""
-        return type(self)(*(each[chosen] for each in vars(self).values()))
+        return type(self)(*(array[chosen] for array in vars(self).values()))
 
     def with_rows(self, chosen: Mask | Indices, others: Self) -> Self:
         """Estimates with others in the chosen rows."""
-        found = [each.copy() for each in vars(self).values()]
-        for each, other in zip(found, vars(others).values(), strict=True):
-            each[chosen] = other
-        return type(self)(*found)
+        arrays = [array.copy() for array in vars(self).values()]
+        for array, other in zip(arrays, vars(others).values(), strict=True):
+            array[chosen] = other
+        return type(self)(*arrays)
 
     def joined(self, more: Self) -> Self:
         """These rows and more after them."""

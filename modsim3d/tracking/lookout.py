@@ -61,17 +61,17 @@ def approaches(rows: RunRows, track: Indices) -> Iterator[VesselApproach]:
             here, vessel = followed[before, index], scene.vessels[index]
             kept = [so_far_m[before[_kept_from(here, step_s, same) :]][:1].sum() for same in (False, True)]
             distances = (so_far_m[steps[0]], so_far_m[-1], *kept)
-            rounded = (round(float(each), _DECIMALS) for each in distances)
+            rounded = (round(float(distance), _DECIMALS) for distance in distances)
             yield VesselApproach(name, vessel.name, vessel.label, vessel.length_m, *rounded)
 
 
 def _kept_from(track: Indices, step_s: float, same: bool) -> int:
     """Place in the steps in view, (n,), from which on tracks follow a vessel until the last, and are never away for
     longer than `LOST_S`; with `same` it is one track. n if there is none."""
-    there = np.flatnonzero(track != NOBODY)
-    away: Array = (np.diff(np.append(there, len(track))) - 1) * step_s
+    places = np.flatnonzero(track != NOBODY)
+    away: Array = (np.diff(np.append(places, len(track))) - 1) * step_s
     ends = away > LOST_S
     if same:
-        ends[:-1] |= np.diff(track[there]) != 0
-    kept = there[np.flatnonzero(ends)[-1] + 1 :] if ends.any() else there
+        ends[:-1] |= np.diff(track[places]) != 0
+    kept = places[np.flatnonzero(ends)[-1] + 1 :] if ends.any() else places
     return int(kept[0]) if len(kept) else len(track)

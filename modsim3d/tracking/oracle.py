@@ -56,10 +56,10 @@ def smoother_noise(scene_name: str) -> SmootherNoise:
     path = data_folder("scenes") / "trackers" / "oracle.yaml"
     content = load_yaml(path, "smoother noise")
     try:
-        found = _NoiseFile.model_validate(content)
+        noise = _NoiseFile.model_validate(content)
     except ValidationError as error:
         raise InputError(f"smoother noise {path}", describe(error, _NoiseFile)) from None
-    return found.scenes.get(scene_name, found.default)
+    return noise.scenes.get(scene_name, noise.default)
 
 
 _FIRST_RATE_PX_S = 1000.0  # standard deviation of a rate before anything is known of it: beyond any vessel's
@@ -89,29 +89,29 @@ def smoothed_motion(sequences: BoxSequences, noise: SmootherNoise) -> list[Motio
     predicts, since the detected one has noise itself."""
     forward = filtered(sequences, noise)
     later = forward[-1].corrected
-    found = [later]
+    motions = [later]
     for row in range(len(forward) - 2, -1, -1):
         time_s = sequences.time_s[row + 1, :, None]
         later = forward[row].corrected.smoothed(forward[row + 1].predicted, later, time_s)
-        found.append(later)
-    return found[::-1]
+        motions.append(later)
+    return motions[::-1]
 
 
 def filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[FilteredRow]:
     """The filter's estimates of each row, from the first on."""
     boxes = centre_form(sequences.boxes_px)
     motion = MotionEstimates.at(boxes[0], noise.variance_px2(boxes[0, :, 2:]), _FIRST_RATE_PX_S**2)
-    found = [FilteredRow(motion, motion, 0.0)]
+    rows = [FilteredRow(motion, motion, 0.0)]
     for row in range(1, len(boxes)):
-        there = sequences.there[row]
+        present = sequences.there[row]
         predicted = motion.predicted(sequences.time_s[row, :, None], noise.rate_walk_px_s)
-        seen, measured = predicted.take(there), boxes[row, there]
+        seen, measured = predicted.take(present), boxes[row, present]
         variance = noise.variance_px2(seen.place[:, 2:])
         total = seen.place_variance + variance
         chance = -0.5 * float(np.sum((measured - seen.place) ** 2 / total + np.log(2 * np.pi * total)))
-        motion = predicted.with_rows(there, seen.corrected(measured, variance))
-        found.append(FilteredRow(motion, predicted, chance))
-    return found
+        motion = predicted.with_rows(present, seen.corrected(measured, variance))
+        rows.append(FilteredRow(motion, predicted, chance))
+    return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +135,8 @@ class DetectionSources:
         identity = np.where(detected == NOBODY, NOBODY, identity_of[detected])
         order = np.lexsort((every.frame, identity))
         order = order[identity[order] != NOBODY]
-        found = TrackerDetections(every.frame, labels[row], every.boxes_px, every.confidence).take(order)
-        return cls(identity[order], found)
+        hits = TrackerDetections(every.frame, labels[row], every.boxes_px, every.confidence).take(order)
+        return cls(identity[order], hits)
 
 
 def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: SmootherNoise | None = None) -> Tracks:
@@ -146,12 +146,12 @@ def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: Sm
     to the last, smoothed with what comes before and after, with the covariance of its centre. The noise of the smoother
     is that of the scene's name in `scenes/trackers/oracle.yaml` if None."""
     provenance = DetectionSources.of(rows, truth)
-    found, cameras = provenance.detections, len(rows.scene.cameras)
-    if not smoothed or not len(found):
-        return Tracks.of(cameras, found.frame, provenance.identity, found.boxes_px, found.label, found.confidence)
+    hits, cameras = provenance.detections, len(rows.scene.cameras)
+    if not smoothed or not len(hits):
+        return Tracks.of(cameras, hits.frame, provenance.identity, hits.boxes_px, hits.label, hits.confidence)
     spans = IdentitySpans.of(rows, provenance)
     motion = smoothed_motion(spans.sequences, noise or smoother_noise(rows.scene.name))
-    place, variance = (np.array([getattr(each, name) for each in motion]) for name in ("place", "place_variance"))
+    place, variance = (np.array([getattr(state, name) for state in motion]) for name in ("place", "place_variance"))
     row, column = np.nonzero(spans.frame != NOBODY)
     last = np.maximum.accumulate(spans.detection, axis=0)[row, column]  # a row's detection, or the last one before it
     seen, frame = spans.sequences.there[row, column], spans.frame[row, column]
@@ -162,8 +162,8 @@ def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: Sm
         frame,
         spans.identity[column],
         at_least_a_pixel(boxes_px, size_px),
-        found.label[last],
-        np.where(seen, found.confidence[last], np.nan),
+        hits.label[last],
+        np.where(seen, hits.confidence[last], np.nan),
         variance[row, column, :2, None] * np.eye(2),
     )
 

@@ -28,20 +28,20 @@ NOISY_BOXES = 0.3  # below this HOTA of the raw boxes with perfect association, 
 
 def conclusion_of(scores: ScoredTracks) -> str:
     """The outcome: of the best tracker in the images, and of each in the world."""
-    said = []
+    sentences = []
     if scores.trackers:
-        bins = [(each, length_bins(each.scores.occlusions)) for each in scores.trackers]
-        outcomes = [TrackerOutcome(each.name, keys_of(each.scores), lengths) for each, lengths in bins]
+        bins = [(tracker, length_bins(tracker.scores.occlusions)) for tracker in scores.trackers]
+        outcomes = [TrackerOutcome(tracker.name, keys_of(tracker.scores), lengths) for tracker, lengths in bins]
         oracle = best_reference(scores)
-        said.append(conclusion(outcomes, {"hota": None} if oracle is None else keys_of(oracle)))
+        sentences.append(conclusion(outcomes, {"hota": None} if oracle is None else keys_of(oracle)))
     if scores.world:
-        said.append(world_conclusion(scores))
-    return " ".join(said)
+        sentences.append(world_conclusion(scores))
+    return " ".join(sentences)
 
 
 def best_reference(scores: ScoredTracks) -> Scores | None:
     """The reference with the higher HOTA, None without any; where a camera moves, smoothing may cost more."""
-    return max(scores.references.values(), key=lambda each: keys_of(each)["hota"] or 0, default=None)
+    return max(scores.references.values(), key=lambda reference: keys_of(reference)["hota"] or 0, default=None)
 
 
 def remarks_of(scores: ScoredTracks) -> str:
@@ -57,25 +57,25 @@ def remarks_of(scores: ScoredTracks) -> str:
 
 def world_conclusion(scores: ScoredTracks) -> str:
     """The outcome of tracks in the world, a sentence for each tracker."""
-    said = []
-    for each in scores.world:
-        keys = each.scores.flat()
+    sentences = []
+    for tracker in scores.world:
+        keys = tracker.scores.flat()
         rmse, share = keys["rmse_m"], keys["followed_share"]
         if rmse is None:
-            said.append(f"{each.name} follows no vessel in the world.")
+            sentences.append(f"{tracker.name} follows no vessel in the world.")
             continue
         met = keys["encounters"]
-        said.append(
-            f"{each.name} follows vessels in the world with an error of {rmse:.1f} m (RMSE), for "
+        sentences.append(
+            f"{tracker.name} follows vessels in the world with an error of {rmse:.1f} m (RMSE), for "
             f"{UNKNOWN if share is None else f'{100 * share:.0f} %'} of the time that it should"
             + (f", and {keys['encounters_established']} of the {met} that met own ship." if met else ".")
         )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 def survived_and_judged(occlusions: Sequence[OcclusionEpisode]) -> tuple[int, int]:
     """Number of occlusions that tracks survived, and of all."""
-    judged = [each.survived for each in occlusions if each.survived is not None]
+    judged = [episode.survived for episode in occlusions if episode.survived is not None]
     return sum(judged), len(judged)
 
 
@@ -83,7 +83,7 @@ def length_bins(occlusions: Sequence[OcclusionEpisode]) -> tuple[LengthBin, ...]
     """Occlusions by length, those that a track could survive."""
     bins = []
     for low, high in pairwise((0, *LENGTH_EDGES_S, float("inf"))):
-        survived, judged = survived_and_judged([each for each in occlusions if low <= each.length_s < high])
+        survived, judged = survived_and_judged([episode for episode in occlusions if low <= episode.length_s < high])
         name = f"longer than {low:g} s" if high == float("inf") else f"of {low:g} to {high:g} s"
         bins.append(LengthBin(name, judged, survived))
     return tuple(bins)
@@ -100,8 +100,8 @@ def score_data(scores: ScoredTracks) -> dict[str, Any]:
         "run": (*scores.run.made_of, scores.run.folder)[0],
         "conclusion": conclusion_of(scores),
         "rules": _rules(scores.rules),
-        "trackers": [_tracker(each) for each in scores.trackers],
-        "references": {name: found.as_json() for name, found in scores.references.items()},
+        "trackers": [_tracker(tracker) for tracker in scores.trackers],
+        "references": {name: reference.as_json() for name, reference in scores.references.items()},
         "seeds": _seeds(scores),
         "world": world_data(scores),
     }
@@ -122,13 +122,13 @@ def _rules(rules: Rules) -> dict[str, Any]:
     }
 
 
-def _tracker(each: TrackScores) -> dict[str, Any]:
-    origin = each.track_set.origin
+def _tracker(tracker: TrackScores) -> dict[str, Any]:
+    origin = tracker.track_set.origin
     return {
-        "name": each.name,
-        "tracks": each.path,
+        "name": tracker.name,
+        "tracks": tracker.path,
         **{key: origin and getattr(origin, key) for key in ("tracker", "settings", "chosen", "package")},
-        **each.scores.as_json(),
+        **tracker.scores.as_json(),
     }
 
 
@@ -151,17 +151,17 @@ def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
     """Entries of world tracks in `score.json`."""
     return [
         {
-            "name": each.name,
-            "tracks": each.path,
-            "gate_m": each.scores.gate_m,
-            "gospa_c_m": each.scores.set_distance.cutoff,
-            "gospa_p": each.scores.set_distance.power,
-            "gospa_switch_m": each.scores.set_distance.switch or each.scores.set_distance.cutoff,
-            **each.scores.flat(),
-            "each_encounter": [asdict(met) for met in each.scores.encounters],
-            "predicted_approaches": asdict(each.scores.approaches),
+            "name": tracker.name,
+            "tracks": tracker.path,
+            "gate_m": tracker.scores.gate_m,
+            "gospa_c_m": tracker.scores.set_distance.cutoff,
+            "gospa_p": tracker.scores.set_distance.power,
+            "gospa_switch_m": tracker.scores.set_distance.switch or tracker.scores.set_distance.cutoff,
+            **tracker.scores.flat(),
+            "each_encounter": [asdict(met) for met in tracker.scores.encounters],
+            "predicted_approaches": asdict(tracker.scores.approaches),
         }
-        for each in scores.world
+        for tracker in scores.world
     ]
 
 

@@ -98,18 +98,18 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
             "soft",
             Where.PAGE,
         )
-    judged = {score_outcome.survived_and_judged(found.occlusions)[1] for _, found in named_scores(scores)}
+    judged = {score_outcome.survived_and_judged(entry.occlusions)[1] for _, entry in named_scores(scores)}
     yield Text(JUDGED if len(judged) > 1 or 0 in judged else "", "soft")
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     yield Text(f"{of_run} {score_outcome.remarks_of(scores)}", "soft")
     yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])
     if curves := _curves(scores):
-        said = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
-        yield Figure(partial(_alpha_chart, curves), f"{said}compare centres instead of IoU.")
+        note = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
+        yield Figure(partial(_alpha_chart, curves), f"{note}compare centres instead of IoU.")
     yield Heading("Where each tracker went wrong", where=Where.PAGE)
     yield Text(f"The worst moment of each: what it lost, before and after. {ABOUT}", "soft", Where.PAGE)
-    for each in scores.trackers:
-        yield Figure(partial(_worst_moment, scores, each), each.name)
+    for tracker in scores.trackers:
+        yield Figure(partial(_worst_moment, scores, tracker), tracker.name)
     yield Heading("Rules")
     rules = rules_in_words(scores.rules)
     yield Table("", (), rules, where=_IN_FULL)
@@ -131,11 +131,11 @@ def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     yield Text("They count neither way in all other tables. A good tracker coasts over them.", "soft", Where.PAGE)
     yield _hidden_table(scores)
     yield Heading("Occlusions")
-    for each in scores.trackers:
-        yield _occlusions(each)
+    for tracker in scores.trackers:
+        yield _occlusions(tracker)
     yield Heading("All scores")
     header = ("score", *(name for name, _ in named_scores(scores)))
-    every = [keys_of(found) for _, found in named_scores(scores)]  # counts are whole, all else has three decimals
+    every = [keys_of(entry) for _, entry in named_scores(scores)]  # counts are whole, all else has three decimals
     rows = [(key, *(number(keys[key], 0 if isinstance(keys[key], int) else 3) for keys in every)) for key in every[0]]
     yield Fold("By their keys", [Table("", header, rows, where=Where.PAGE)])
 
@@ -154,11 +154,11 @@ def _worst_moment(scores: score_outcome.ScoredTracks, tracker: score_outcome.Tra
 
 def _provenance(scores: score_outcome.ScoredTracks, command: str | None) -> Provenance:
     run = scores.run
-    given = [(each.name, each.path) for each in scores.trackers]
-    given += [(each.name, each.path) for each in scores.world]
+    given = [(tracker.name, tracker.path) for tracker in scores.trackers]
+    given += [(tracker.name, tracker.path) for tracker in scores.world]
     call = f"modsim3d.score_run({str(run.folder)!r}, …).write(…) from Python"
     again = () if scores.seeds is None else (("detector, run again", ", ".join(map(str, scores.seeds.seeds))),)
-    tracks = [found for name, path in given for found in track_inputs(name, path)]
+    tracks = [source for name, path in given for source in track_inputs(name, path)]
     return Provenance(
         page="scores of tracks",
         made_by=command or call,
@@ -171,7 +171,7 @@ def _provenance(scores: score_outcome.ScoredTracks, command: str | None) -> Prov
 
 def _curves(scores: score_outcome.ScoredTracks) -> dict[str, Array]:
     """HOTA at each threshold of similarity, shape (n,), by tracker and reference."""
-    curves = {name: found.flat()["hota_by_alpha"] for name, found in named_scores(scores)}
+    curves = {name: entry.flat()["hota_by_alpha"] for name, entry in named_scores(scores)}
     return {name: np.array(values) for name, values in curves.items() if isinstance(values, tuple)}
 
 
@@ -188,7 +188,7 @@ def _breakdowns(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     best, oracle = scores.trackers[0], score_outcome.best_reference(scores)
     yield Heading(f"Where {best.name} loses vessels", where=Where.FULL)
     yield from _breakdown_tables([("", best.scores)], Where.FULL)
-    named = [(each.name, each.scores) for each in scores.trackers] + ([("oracle", oracle)] if oracle else [])
+    named = [(tracker.name, tracker.scores) for tracker in scores.trackers] + ([("oracle", oracle)] if oracle else [])
     yield from _breakdown_tables(named, Where.PAGE)
     groups = [(GROUP_NAMES[group.name], group.explanation) for group in best.scores.breakdown]
     yield Fold("What the lines are", [Table("", (), groups, where=Where.PAGE)])
@@ -198,50 +198,50 @@ def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iter
     names = [f"{name}: " if name else "" for name, _ in named]
     rows: list[list[str | Cell]] = []
     for index, group in enumerate(named[0][1].breakdown):
-        bins = list(zip(*(found.breakdown[index].rows for _, found in named), strict=True))
+        bins = list(zip(*(entry.breakdown[index].rows for _, entry in named), strict=True))
         if group.name == OCCLUSION:
             header = ["length, s", "occlusions", "vessel-frames"]
             lengths = []
-            for each in bins:
-                first = each[0].bin, f"{each[0].occlusions}", f"{each[0].vessel_frames:,}"
-                lengths.append((*first, *_cells(each, "survived", "recall")))
+            for row_bins in bins:
+                first = row_bins[0].bin, f"{row_bins[0].occlusions}", f"{row_bins[0].vessel_frames:,}"
+                lengths.append((*first, *_cells(row_bins, "survived", "recall")))
             columns = [name + key for name in names for key in ("survived", "recall")]
             of_occlusions = Table("By length of the occlusion", [*header, *columns], lengths, where=where)
         else:
-            for place, each in enumerate(bins):
+            for place, row_bins in enumerate(bins):
                 name = "" if place else GROUP_NAMES[group.name]
-                row: list[str | Cell] = [name, each[0].bin, f"{each[0].vessel_frames:,}"]
-                rows.append(row + _cells(each, "recall", "association"))
+                row: list[str | Cell] = [name, row_bins[0].bin, f"{row_bins[0].vessel_frames:,}"]
+                rows.append(row + _cells(row_bins, "recall", "association"))
     columns = [name + key for name in names for key in ("recall", "association")]
     yield Table("", ("by", "", "vessel-frames", *columns), rows, where=where)
     yield of_occlusions
 
 
 def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
-    shares = [(each, key, getattr(each, key)) for each in bins for key in keys]
+    shares = [(score_bin, key, getattr(score_bin, key)) for score_bin in bins for key in keys]
     return [
-        Cell(survived_of(each) if key == "survived" else number(share, 2), share, bar=True)
-        for each, key, share in shares
+        Cell(survived_of(score_bin) if key == "survived" else number(share, 2), share, bar=True)
+        for score_bin, key, share in shares
     ]
 
 
 def _occlusions(tracker: score_outcome.TrackScores) -> Block:
     """The list of a tracker's occlusions, closed at first where there are many."""
-    found = tracker.scores.occlusions
-    if not found:
+    episodes = tracker.scores.occlusions
+    if not episodes:
         return Text(f"{tracker.name}: no vessel is occluded.", "", Where.PAGE)
-    survived, judged = score_outcome.survived_and_judged(found)
-    said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found), 'occlusion')} in all"
-    failed = {index for index, each in enumerate(found) if each.survived is False}
+    survived, judged = score_outcome.survived_and_judged(episodes)
+    title = f"{tracker.name}: {survived} of {judged} survived; {counted(len(episodes), 'occlusion')} in all"
+    failed = {index for index, episode in enumerate(episodes) if episode.survived is False}
     header = ("camera", "vessel", "from", "length", "least visible", "track before", "track after", "survived")
-    table = Table("", header, _occlusion_rows(found), bad=failed, where=Where.PAGE)
-    return Fold(said, [table], opened=len(found) <= 15)
+    table = Table("", header, _occlusion_rows(episodes), bad=failed, where=Where.PAGE)
+    return Fold(title, [table], opened=len(episodes) <= 15)
 
 
 def _score_table(scores: score_outcome.ScoredTracks) -> Table:
     rows = []
-    for name, found in named_scores(scores):
-        keys, (survived, judged) = keys_of(found), score_outcome.survived_and_judged(found.occlusions)
+    for name, entry in named_scores(scores):
+        keys, (survived, judged) = keys_of(entry), score_outcome.survived_and_judged(entry.occlusions)
         cells = (number(keys[key], decimals) for _, key, decimals in COLUMNS)
         rows.append((name, *cells, f"{survived} of {judged}" if judged else UNKNOWN))
     header = ("tracker", *(name for name, _, _ in COLUMNS), "occlusions survived")
@@ -251,8 +251,8 @@ def _score_table(scores: score_outcome.ScoredTracks) -> Table:
 
 def named_scores(scores: score_outcome.ScoredTracks) -> list[tuple[str, Scores]]:
     """The trackers, then the references, with what tables call them."""
-    named = [(each.name, each.scores) for each in scores.trackers]
-    return named + [(REFERENCES[name], found) for name, found in scores.references.items()]
+    named = [(tracker.name, tracker.scores) for tracker in scores.trackers]
+    return named + [(REFERENCES[name], reference) for name, reference in scores.references.items()]
 
 
 def seed_rows(scores: score_outcome.ScoredTracks) -> list[tuple[str, ...]]:
@@ -285,8 +285,8 @@ def seeds_in_words(scores: score_outcome.ScoredTracks) -> str:
 
 def _hidden_table(scores: score_outcome.ScoredTracks) -> Table:
     rows = []
-    for name, found in named_scores(scores):
-        keys = keys_of(found)
+    for name, entry in named_scores(scores):
+        keys = keys_of(entry)
         shares = percent(keys["hidden_followed"]), percent(keys["hidden_same_track"])
         rows.append((name, number(keys["hidden_vessel_frames"], 0), *shares))
     header = ("tracker", "vessel-frames", "followed", "by the track from before")
@@ -296,16 +296,16 @@ def _hidden_table(scores: score_outcome.ScoredTracks) -> Table:
 def _occlusion_rows(occlusions: Sequence[OcclusionEpisode]) -> list[tuple[str, ...]]:
     return [
         (
-            each.camera,
-            each.vessel,
-            f"{each.start_s:.1f} s",
-            f"{each.length_s:.1f} s",
-            percent(each.least_visible_fraction),
-            UNKNOWN if each.track_before is None else f"{each.track_before}",
-            UNKNOWN if each.track_after is None else f"{each.track_after}",
-            UNKNOWN if each.survived is None else "yes" if each.survived else "no",
+            episode.camera,
+            episode.vessel,
+            f"{episode.start_s:.1f} s",
+            f"{episode.length_s:.1f} s",
+            percent(episode.least_visible_fraction),
+            UNKNOWN if episode.track_before is None else f"{episode.track_before}",
+            UNKNOWN if episode.track_after is None else f"{episode.track_after}",
+            UNKNOWN if episode.survived is None else "yes" if episode.survived else "no",
         )
-        for each in occlusions
+        for episode in occlusions
     ]
 
 
@@ -320,11 +320,11 @@ def _part_tables(scores: score_outcome.ScoredTracks) -> list[Table]:
     named = named_scores(scores)
     tables = []
     for title, part in (("By performance state", "by_state"), ("By camera", "by_camera")):
-        parts = [(name, {key: vars(each) for key, each in getattr(found, part).items()}) for name, found in named]
+        parts = [(name, {key: vars(subset) for key, subset in getattr(entry, part).items()}) for name, entry in named]
         if len(parts[0][1]) > 1:
             tables.append(Table(title, PART_HEADER, _part_rows(parts), where=Where.PAGE))
     if scores.rules.by_class:
-        of_class = [(name, {key: each.flat() for key, each in found.by_class.items()}) for name, found in named]
+        of_class = [(name, {key: subset.flat() for key, subset in entry.by_class.items()}) for name, entry in named]
         tables.append(Table("By class", PART_HEADER, _part_rows(of_class)))
     return tables
 
@@ -342,76 +342,76 @@ def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> 
 def _in_world(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     yield Heading("Tracks in the world")
     header = ("tracks in the world", *(name for name, _, _ in WORLD_COLUMNS))
-    flat = [(each.name, each.scores.flat()) for each in scores.world]
+    flat = [(tracker.name, tracker.scores.flat()) for tracker in scores.world]
     rows = [(name, *(number(keys[key], decimals) for _, key, decimals in WORLD_COLUMNS)) for name, keys in flat]
     yield Table("", header, rows)
-    for each in scores.world[:1]:  # the rules are those of all
-        distance = each.scores.set_distance
+    for tracker in scores.world[:1]:  # the rules are those of all
+        distance = tracker.scores.set_distance
         yield Text(
-            f"A track follows a vessel within {each.scores.gate_m:g} m. GOSPA: c = {distance.cutoff:g} m, "
+            f"A track follows a vessel within {tracker.scores.gate_m:g} m. GOSPA: c = {distance.cutoff:g} m, "
             f"p = {distance.power:g}. Errors are averaged within each vessel, then over vessels.",
             "soft",
             _IN_FULL,
         )
-    for each in scores.world:
-        met = each.scores.encounters
-        yield Text(_encounters_in_words(each))
+    for tracker in scores.world:
+        met = tracker.scores.encounters
+        yield Text(_encounters_in_words(tracker))
         missed = {place for place, vessel in enumerate(met) if _is_missed(vessel)}
         yield Table("", ENCOUNTER_HEADER, _encounter_rows(met), bad=missed, where=_IN_FULL)
-        yield from _approaches(each.scores.approaches)
-    if found := {each.name: each.scores.approaches for each in scores.world if each.scores.encounters}:
-        said = "Median error of the predicted CPA. Dashed: of a perfect track, which foresees no alteration of course."
-        yield Figure(partial(_approach_chart, found), said)
+        yield from _approaches(tracker.scores.approaches)
+    if approaches := {tracker.name: tracker.scores.approaches for tracker in scores.world if tracker.scores.encounters}:
+        note = "Median error of the predicted CPA. Dashed: of a perfect track, which foresees no alteration of course."
+        yield Figure(partial(_approach_chart, approaches), note)
 
 
-def _approaches(found: PredictedApproaches) -> Iterator[Block]:
+def _approaches(approaches: PredictedApproaches) -> Iterator[Block]:
     errors = ("cpa_error_m", "tcpa_error_s", "perfect_cpa_error_m")
     counts = ("in_view", "predicted", "right", "alarms_due", "missed_alarms", "false_alarms")
-    rules = found.rules
+    rules = approaches.rules
     about = (
         f"A predicted CPA is right within {rules.right_m:g} m of what happened; an alarm is one below {rules.alarm_m:g}"
-        f" m. {counted(found.ghost_alarms, 'track')} on no vessel had such an alarm within {rules.before_s:g} s."
+        f" m. {counted(approaches.ghost_alarms, 'track')} on no vessel had such an alarm within {rules.before_s:g} s."
     )
 
     def rows(every: Sequence[CpaErrors], keys: Sequence[str]) -> list[tuple[str, ...]]:
-        cells = [[getattr(each, key) for key in (*keys, *errors)] for each in every]
+        cells = [[getattr(cpa, key) for key in (*keys, *errors)] for cpa in every]
         return [
-            (f"{each.place:g}", *(number(value, 0 if isinstance(value, int) else 1) for value in row))
-            for each, row in zip(every, cells, strict=True)
+            (f"{cpa.place:g}", *(number(value, 0 if isinstance(value, int) else 1) for value in row))
+            for cpa, row in zip(every, cells, strict=True)
         ]
 
     named = ("CPA error, m", "TCPA error, s", "perfect track, m")
-    if found.by_time_left[0].in_view:
+    if approaches.by_time_left[0].in_view:
         yield Text(about, "soft", _IN_FULL)
         columns = ("s before the CPA", *(name.replace("_", " ") for name in counts), *named)
-        yield Table("", columns, rows(found.by_time_left, counts), where=_IN_FULL)
+        yield Table("", columns, rows(approaches.by_time_left, counts), where=_IN_FULL)
         header = ("range from, m", "encounters", *named)
-        yield Table("", header, rows(found.by_range, ("predicted",)), where=Where.PAGE)
+        yield Table("", header, rows(approaches.by_range, ("predicted",)), where=Where.PAGE)
 
 
-def _approach_chart(found: Mapping[str, PredictedApproaches]) -> str:
+def _approach_chart(approaches: Mapping[str, PredictedApproaches]) -> str:
     curves = []
-    for place, each in enumerate(found.values()):
+    for place, forecast in enumerate(approaches.values()):
         for key, dashed in (("cpa_error_m", False), ("perfect_cpa_error_m", True)):
-            known = [(at.place, getattr(at, key)) for at in each.by_time_left if getattr(at, key) is not None]
-            curves.append((np.array(known).reshape(-1, 2).T, charts.colour_of(place), dashed))
-    points = np.concatenate([each for each, _, _ in curves], axis=1)
+            pairs = [(at.place, getattr(at, key)) for at in forecast.by_time_left if getattr(at, key) is not None]
+            curves.append((np.array(pairs).reshape(-1, 2).T, charts.colour_of(place), dashed))
+    points = np.concatenate([curve for curve, _, _ in curves], axis=1)
     longest_s, top_m = np.max(points, axis=1, initial=1.0).tolist()
     axes = charts.Axes((0, 1.05 * longest_s), (0, 1.1 * top_m))
     content = "".join(charts.line(axes, x, y, colour, dashed) for (x, y), colour, dashed in curves)
-    content += charts.key(list(found), axes.height - 38)
+    content += charts.key(list(approaches), axes.height - 38)
     return axes.drawing(content, "CPA as predicted", "time left, s", "error, m")
 
 
 def _encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
     return [
         (
-            *(each.vessel, each.own_ship, each.kind.replace("_", " ")),
-            *(number(each.closest_m, 0), number(each.closest_s, 1)),
-            *(number(each.seen_s, 1), number(each.established_s, 1)),
-            *(number(each.established_m, 0), number(each.time_left_s, 1)),
+            *(encounter.vessel, encounter.own_ship, encounter.kind.replace("_", " ")),
+            *(number(encounter.closest_m, 0), number(encounter.closest_s, 1)),
+            *(number(encounter.seen_s, 1), number(encounter.established_s, 1)),
+            *(number(encounter.established_m, 0), number(encounter.time_left_s, 1)),
         )
-        for each in encounters
+        for encounter in encounters
     ]
 
 
@@ -419,12 +419,12 @@ def _is_missed(met: MetVessel) -> bool:
     return met.seen_s is not None and met.established_s is None
 
 
-def _encounters_in_words(each: score_outcome.WorldTrackScores) -> str:
+def _encounters_in_words(entry: score_outcome.WorldTrackScores) -> str:
     """Number of vessels that met own ship, and of those among them that no track followed, red in the table."""
-    met = each.scores.encounters
+    met = entry.scores.encounters
     if not met:
-        return f"{each.name}: no vessel came nearer to own ship."
+        return f"{entry.name}: no vessel came nearer to own ship."
     passed = sum(one.passed for one in met)
-    said = f"{each.name}: {counted(len(met), 'vessel')} came nearer to own ship, and {passed} passed her in this run."
+    words = f"{entry.name}: {counted(len(met), 'vessel')} came nearer to own ship, and {passed} passed her in this run."
     missed = counted(sum(map(_is_missed, met)), "vessel")
-    return f"{said} No track followed {missed} of these that a camera saw." if any(map(_is_missed, met)) else said
+    return f"{words} No track followed {missed} of these that a camera saw." if any(map(_is_missed, met)) else words

@@ -64,7 +64,7 @@ class RunScores(Result, ScoredTracks):
         from modsim3d.tracking.score_page import FILES, write_scores  # pages take 0.1 s to import
 
         paths = tuple(as_path(folder, "folder") / name for name in FILES)
-        given = [each.path for each in self.trackers] + [each.path for each in self.world]
+        given = [tracker.path for tracker in self.trackers] + [tracker.path for tracker in self.world]
         with claimed(paths, overwrite=overwrite, inputs=[*read_of_run(self.run.folder), *filter(None, given)]):
             write_scores(self, folder)
         return paths
@@ -151,19 +151,25 @@ def _scored(
 
         if run.scene.labels is not None and run.scene.labels.detections is not None:
             raise ModsimError("--seeds is for a simulated detector, and these detections are a real one's: leave out")
-        check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
+        check_seeds(seeds, [track_set for _, track_set in in_images], [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
     world = tuple(
-        WorldTrackScores(each.name, path, score_world(rows, each, gate_m, in_metres)) for path, each in in_world
+        WorldTrackScores(estimates.name, path, score_world(rows, estimates, gate_m, in_metres))
+        for path, estimates in in_world
     )
-    scored = [TrackScores(each.name, path, each, score_tracks(rows, each.tracks, rules)) for path, each in in_images]
+    scored = [
+        TrackScores(track_set.name, path, track_set, score_tracks(rows, track_set.tracks, rules))
+        for path, track_set in in_images
+    ]
     references = reference_tracks(rows, rules) if in_images and len(rows.detections) else {}
     return RunScores(
         run,
         rules,
-        tuple(sorted(scored, key=lambda each: -(keys_of(each.scores)["hota"] or 0.0))),
-        {name: score_tracks(rows, each, rules) for name, each in references.items()},
-        spread_over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
+        tuple(sorted(scored, key=lambda tracker: -(keys_of(tracker.scores)["hota"] or 0.0))),
+        {name: score_tracks(rows, reference, rules) for name, reference in references.items()},
+        spread_over_seeds(run, [track_set for _, track_set in in_images], seeds, rules, progress)
+        if seeds is not None
+        else None,
         world,
     )
 
@@ -193,11 +199,11 @@ def _camera_indices(run: StoredRun, cameras: str | Sequence[str] | None) -> tupl
     return tuple(index for index, name in enumerate(names) if name in asked)
 
 
-def _one_sided(each: TrackSet, run: StoredRun) -> ModsimError:
+def _one_sided(file: TrackSet, run: StoredRun) -> ModsimError:
     every = [f"--camera {camera.name}" for camera in run.scene.cameras]
-    some = [f"--camera {camera.name}" for camera in run.scene.cameras if camera.name not in each.unnamed]
+    some = [f"--camera {camera.name}" for camera in run.scene.cameras if camera.name not in file.unnamed]
     return ModsimError(
-        f"the tracks '{each.name}' have no line of camera {' and '.join(map(shown, each.unnamed))}, where every vessel "
+        f"the tracks '{file.name}' have no line of camera {' and '.join(map(shown, file.unnamed))}, where every vessel "
         f"would count as missed: score the others with {' '.join(some)}; if the tracker found nothing there, give "
         f"{' '.join(every)}"
     )
@@ -214,11 +220,11 @@ def _read(
     in_images: list[tuple[Path | None, TrackSet]] = []
     in_world: list[tuple[Path, WorldTracks]] = []
     seen: set[Path] = set()
-    for each in given:
-        if isinstance(each, TrackSet):
-            in_images.append((None, each))
+    for source in given:
+        if isinstance(source, TrackSet):
+            in_images.append((None, source))
             continue
-        path = as_path(each, "tracks", "a folder or a file of tracks, or a TrackSet")
+        path = as_path(source, "tracks", "a folder or a file of tracks, or a TrackSet")
         if path.resolve() in seen:
             raise ModsimError(f"{path} is given twice: each tracker needs a line of its own")
         seen.add(path.resolve())
@@ -226,17 +232,20 @@ def _read(
             in_world.append((path, read_world_tracks(path, run)))
         else:
             in_images.append((path, read_tracks(path, run, rows, cameras)))
-    if wrong := [each for _, each in in_images if each.unnamed and not cameras]:
+    if wrong := [track_set for _, track_set in in_images if track_set.unnamed and not cameras]:
         raise _one_sided(wrong[0], run)
     if cameras:
-        in_images = [(path, each.in_cameras(cameras)) for path, each in in_images]
+        in_images = [(path, track_set.in_cameras(cameras)) for path, track_set in in_images]
     return _name_tracks(in_images), _name_tracks(in_world)
 
 
-def _name_tracks(found: list[tuple[P, T]]) -> list[tuple[P, T]]:
+def _name_tracks(pairs: list[tuple[P, T]]) -> list[tuple[P, T]]:
     """Tracks with their names in tables: those of one name by their paths, or by their numbers where they have none."""
-    names = [each.name for _, each in found]
+    names = [tracks.name for _, tracks in pairs]
     return [
-        (path, replace(each, name=f"{path or f'{each.name} {index + 1}'}") if names.count(each.name) > 1 else each)
-        for index, (path, each) in enumerate(found)
+        (
+            path,
+            replace(tracks, name=f"{path or f'{tracks.name} {index + 1}'}") if names.count(tracks.name) > 1 else tracks,
+        )
+        for index, (path, tracks) in enumerate(pairs)
     ]

@@ -96,7 +96,7 @@ def conclusion(trackers: Sequence[TrackerOutcome], reference: Keys) -> str:
     best = trackers[0]
     if not _expected(best.keys):
         return _nothing_expected(trackers)
-    if not any(each.keys["true_positives"] for each in trackers):
+    if not any(tracker.keys["true_positives"] for tracker in trackers):
         return _nothing_followed(trackers)
     followed = percent((best.keys["true_positives"] or 0) / _expected(best.keys))
     first = f"{_subject(trackers)} vessels for {followed} of the time that it should{_beside(best.keys, reference)}."
@@ -107,7 +107,7 @@ def _subject(trackers: Sequence[TrackerOutcome]) -> str:
     best = trackers[0]
     if len(trackers) == 1:
         return f"{best.name} follows"
-    level = [each.name for each in trackers if each.keys["hota"] == best.keys["hota"]]
+    level = [tracker.name for tracker in trackers if tracker.keys["hota"] == best.keys["hota"]]
     if len(level) == 1:
         return f"{best.name} has the highest HOTA of {len(trackers)} trackers: it follows"
     names = f"{', '.join(level[:-1])} and {level[-1]}"
@@ -116,38 +116,38 @@ def _subject(trackers: Sequence[TrackerOutcome]) -> str:
 
 
 def _beside(keys: Keys, reference: Keys) -> str:
-    ours, theirs = keys["hota"], reference["hota"]
-    if ours is None:
+    hota, perfect = keys["hota"], reference["hota"]
+    if hota is None:
         return ""
-    if theirs is None:
-        return f" (HOTA {ours:.2f})"
-    if round(ours, 2) > round(theirs, 2):
-        return f" (HOTA {ours:.2f}, above the {theirs:.2f} of the same detections with perfect association)"
-    return f" (HOTA {ours:.2f}; the same detections with perfect association reach {theirs:.2f})"
+    if perfect is None:
+        return f" (HOTA {hota:.2f})"
+    if round(hota, 2) > round(perfect, 2):
+        return f" (HOTA {hota:.2f}, above the {perfect:.2f} of the same detections with perfect association)"
+    return f" (HOTA {hota:.2f}; the same detections with perfect association reach {perfect:.2f})"
 
 
 def _losses(lengths: Sequence[LengthBin]) -> list[str]:
     """Places where vessels are lost: the length of occlusion of which the smallest share is survived."""
-    every, survived = sum(each.occlusions for each in lengths), sum(each.survived for each in lengths)
+    every, survived = sum(length.occlusions for length in lengths), sum(length.survived for length in lengths)
     if not every:
         return ["No vessel that it followed went into an occlusion and came out of it."]
     if survived == every:
         return [f"It keeps its vessel through {'the only occlusion' if every == 1 else f'all {every} occlusions'}."]
-    many = [each for each in lengths if each.occlusions >= MIN_OCCLUSIONS]
+    many = [length for length in lengths if length.occlusions >= MIN_OCCLUSIONS]
     if len(many) < 2:
         return [f"It keeps its vessel through {survived} of {counted(every, 'occlusion')}."]
-    worst = min(many, key=lambda each: each.survived / each.occlusions)
+    worst = min(many, key=lambda length: length.survived / length.occlusions)
     return [
         f"Among occlusions it does worst in those {worst.name}: {worst.survived} of {worst.occlusions} are survived."
     ]
 
 
 def _nothing_expected(trackers: Sequence[TrackerOutcome]) -> str:
-    said = "There is no vessel to follow in this run"
+    sentence = "There is no vessel to follow in this run"
     false = _false(trackers[0].keys)
     if len(trackers) > 1:
-        return f"{said}: its tracks can only be false."
-    return f"{said}, and {trackers[0].name} {f'reports {_boxes(false)}, all false' if false else 'has no track'}."
+        return f"{sentence}: its tracks can only be false."
+    return f"{sentence}, and {trackers[0].name} {f'reports {_boxes(false)}, all false' if false else 'has no track'}."
 
 
 def _nothing_followed(trackers: Sequence[TrackerOutcome]) -> str:

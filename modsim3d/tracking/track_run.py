@@ -118,20 +118,20 @@ def track_run(
         else:
             named = command_tracker(command, given, timeout_s=timeout_s)
         origin, rows = named.origin, RunRows.of(run)
-        found = run_tracker(named, rows, progress)
+        output = run_tracker(named, rows, progress)
         changed = ", ".join(f"{key}={value}" for key, value in given.items())  # tells it from the same with others
         name = f"{named.name} ({changed})" if changed else named.name
-        table = TABLE if isinstance(found.tracks, Tracks) else WORLD_TABLE
+        table = TABLE if isinstance(output.tracks, Tracks) else WORLD_TABLE
         for other in {TABLE, WORLD_TABLE} - {table}:
             (folder / other).unlink(missing_ok=True)  # of tracks that were there before
-        if isinstance(found.tracks, Tracks):
-            write_claimed_tracks(folder, run, TrackSet(name, found.tracks, origin))
+        if isinstance(output.tracks, Tracks):
+            write_claimed_tracks(folder, run, TrackSet(name, output.tracks, origin))
         else:
-            write_claimed_world_tracks(folder, run, replace(found.tracks, name=name), origin)
-    by_camera, counts = _counts_of(run, rows, found.tracks)
+            write_claimed_world_tracks(folder, run, replace(output.tracks, name=name), origin)
+    by_camera, counts = _counts_of(run, rows, output.tracks)
     written = folder / table, folder / FACTS
-    seconds = float(found.seconds.sum())
-    return TrackResult(folder, name, found.tracks, origin, by_camera, counts, seconds, found.frame_ms, written)
+    seconds = float(output.seconds.sum())
+    return TrackResult(folder, name, output.tracks, origin, by_camera, counts, seconds, output.frame_ms, written)
 
 
 def _counts_of(
@@ -140,14 +140,14 @@ def _counts_of(
     """Counts by camera, none of tracks in the world, and of all cameras."""
     sequences = sequences_of(rows, tuple(range(len(run.scene.cameras))))
     if isinstance(tracks, Tracks):
-        each = {
+        by_camera = {
             sequence.camera.name: _counts([sequence], tracks.take(tracks.camera == camera), run)
             for camera, sequence in enumerate(sequences)
         }
-        return each, _counts(sequences, tracks, run)
+        return by_camera, _counts(sequences, tracks, run)
     edges = np.flatnonzero(np.diff(tracks.track, prepend=-1, append=-1))
     frames, detections = (
-        sum(map(len, each)) for each in zip(*((s.steps, s.detections) for s in sequences), strict=True)
+        sum(map(len, parts)) for parts in zip(*((s.steps, s.detections) for s in sequences), strict=True)
     )
     lasted_s = tracks.time_s[edges[1:] - 1] - tracks.time_s[edges[:-1]]
     median_s = round(float(np.median(lasted_s)), 3) if len(lasted_s) else None
@@ -161,8 +161,8 @@ def _counts(sequences: Sequence[CameraSequence], tracks: Tracks, run: StoredRun)
     np.minimum.at(first_s, tracks.identity, times_s)
     np.maximum.at(last_s, tracks.identity, times_s)
     return TrackCounts(
-        sum(len(each.steps) for each in sequences),
-        sum(len(each.detections) for each in sequences),
+        sum(len(sequence.steps) for sequence in sequences),
+        sum(len(sequence.detections) for sequence in sequences),
         count,
         len(tracks),
         round(float(np.median(last_s - first_s)), 3) if count else None,

@@ -112,7 +112,7 @@ def moment_pictures(story: Story) -> list[Image]:
     plan = _plan(story, frames, TrackSet("the tracker", story.scored.following.tracks, None))
     plan = replace(plan, width=WIDTH_PX, enlarged=ENLARGED, style=replace(plan.style, enlarged=ENLARGED), key=False)
     with open_film_renderer(story.scored.rows.scene, plan) as renderer:
-        return [renderer.draw(_tracker_frame(story, each)) for each in frames]
+        return [renderer.draw(_tracker_frame(story, number)) for number in frames]
 
 
 def _plan(story: Story, frames: Sequence[int], track_set: TrackSet) -> FilmPlan:
@@ -161,7 +161,7 @@ def best_style() -> tuple[RenderStyle, bool]:
 def frame_of(rows: RunRows, number: int) -> Frame:
     """A frame of a run in memory, by its number as in `RunRows`."""
     scene, (step, camera) = rows.scene, divmod(number, len(rows.scene.cameras))
-    cameras, states = [each.name for each in scene.cameras], [state.name for state in scene.detector.states]
+    cameras, states = [sensor.name for sensor in scene.cameras], [state.name for state in scene.detector.states]
     at = rows.frames // len(cameras) == step
     frames = {
         "camera": [cameras[index] for index in (rows.frames[at] % len(cameras)).tolist()],

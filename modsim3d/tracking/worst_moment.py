@@ -77,8 +77,8 @@ def _switches(scored: ScoredRun) -> Indices:
     order = np.lexsort((truth.frame[rows], truth.identity[rows]))
     rows, track_rows = rows[order], track_rows[order]
     switched = (np.diff(truth.identity[rows]) == 0) & (np.diff(tracks.identity[track_rows]) != 0)
-    found: Indices = rows[1:][switched]
-    return found
+    switches: Indices = rows[1:][switched]
+    return switches
 
 
 def worst_moment_s(scored: ScoredRun) -> float | None:
@@ -116,11 +116,11 @@ def row_to_show(scored: ScoredRun, column: str) -> int:
     part, _, key = column.rpartition(".")
     truth, scene, rows = scored.following.truth, scored.rows.scene, np.empty(0, dtype=np.int64)
     if key in _BY_SWITCHES:
-        frames = {f"state.{each.name}": scored.state_frames(k) for k, each in enumerate(scene.detector.states)}
+        frames = {f"state.{state.name}": scored.state_frames(k) for k, state in enumerate(scene.detector.states)}
         rows = _switches(replace(scored, frames=frames.get(part, scored.frames)))
     elif key in LOWERED_BY:
-        each = (spans := OcclusionSpans.of(scored)).histories
-        after = each.first_after(truth.scored[each.row])[spans.last]
-        rows = each.row[after[spans.judged & ~spans.survived]]
+        past = (spans := OcclusionSpans.of(scored)).histories
+        after = past.first_after(truth.scored[past.row])[spans.last]
+        rows = past.row[after[spans.judged & ~spans.survived]]
     vessel, area = truth.vessel[rows], areas(truth.boxes_px[rows])
     return int(rows[np.lexsort((area, np.bincount(vessel)[vessel]))[-1]]) if len(rows) else NOBODY

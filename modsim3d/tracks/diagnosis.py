@@ -123,7 +123,7 @@ class BoxRows:
     def spread(self) -> BoxRows:
         """Some of the rows, spread over the file."""
         chosen = np.unique(np.linspace(0, len(self.frame) - 1, _LOOKED_AT).astype(np.int64))[: len(self.frame)]
-        frames = (each[chosen] for each in (self.frame, self.frame_before, self.frame_after))
+        frames = (column[chosen] for column in (self.frame, self.frame_before, self.frame_after))
         return BoxRows(self.numbers[chosen], self.form, self.image_px[chosen], *frames)
 
 
@@ -201,7 +201,7 @@ def implausible(rows: BoxRows) -> Misreading | None:
         return None
     if beyond.mean() <= _MAX_BEYOND:
         return _inside(rows, size, alone)
-    found = f"{in_percent(beyond.mean())} of them reach beyond their images by more than {_BEYOND_PX:g} px"
+    clause = f"{in_percent(beyond.mean())} of them reach beyond their images by more than {_BEYOND_PX:g} px"
     outside = np.asarray(((now_px[:, :2] >= image_px) | (now_px[:, 2:] <= 0)).any(axis=1))
     edges_px = np.hstack([np.zeros_like(image_px), image_px])
     for reading in _form_readings(rows):
@@ -211,14 +211,14 @@ def implausible(rows: BoxRows) -> Misreading | None:
         cut = reading.sentence == _EXCHANGED and outside[beyond].mean() < _MANY  # whole boxes in upright images
         if fits and not cut and (not moved or snug.mean() > _MANY):
             either = f", or width and height of the images are: {size}" if reading.sentence == _EXCHANGED else ""
-            return Misreading(f"{reading.sentence}{either} ({found})", False)
+            return Misreading(f"{reading.sentence}{either} ({clause})", False)
     reach = "{:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*now_px[:, :2].min(axis=0), *now_px[:, 2:].max(axis=0))
     reached = f"the first is of {size} px, and boxes reach from {reach}"
     if outside.mean() > _MAX_BEYOND:
-        told = f"{in_percent(outside.mean())} of the boxes lie outside their images: {reached}"
-        told += "; is the size of the images right"
-        return Misreading(f"{told} (--image-size or seqinfo.ini in MOT, width and height in COCO)?", False)
-    return Misreading(f"boxes are not cut at the edge of the image: {found}; {reached}", True)
+        fault = f"{in_percent(outside.mean())} of the boxes lie outside their images: {reached}"
+        fault += "; is the size of the images right"
+        return Misreading(f"{fault} (--image-size or seqinfo.ini in MOT, width and height in COCO)?", False)
+    return Misreading(f"boxes are not cut at the edge of the image: {clause}; {reached}", True)
 
 
 def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
@@ -227,16 +227,16 @@ def _inside(rows: BoxRows, size: str, alone: bool) -> Misreading | None:
     ordered = np.mean((x_min < x_max) & (y_min < y_max)) >= _NEARLY_ALL
     follows = np.var(x_max - x_min) < _FOLLOWS * np.var(x_max)
     if rows.form.to_corners is TOP_LEFT.to_corners and ordered and follows:
-        told = f"the boxes are read as {rows.form.meaning}, but are {CORNERS.meaning}"
+        fault = f"the boxes are read as {rows.form.meaning}, but are {CORNERS.meaning}"
         one = alone and bool(np.median(np.abs(np.diff(x_min))) < _FOLLOWS * np.ptp(x_min))
         also = ", or one vessel comes near as it moves right" * one
-        return Misreading(f"{told} (each third and fourth number is above the first and second){also}", one)
+        return Misreading(f"{fault} (each third and fourth number is above the first and second){also}", one)
     most = np.abs(rows.numbers).max()
     if most <= _PER_CENT + rows.form.first_px and rows.image_px.min() >= _MANY_PX:
         reach = rows.form.boxes_px(rows.numbers).max()
         edge = bool(reach > _TO_THE_EDGE * _PER_CENT and len(rows.numbers) >= _MIN_CLOSE_ROWS)
-        told = f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels"
-        return Misreading(told, not edge)
+        fault = f"all boxes lie within 100 x 100 of {size} px: are they in per cent? must be in pixels"
+        return Misreading(fault, not edge)
     return None
 
 
@@ -247,8 +247,8 @@ def _beyond(boxes_px: Array, image_px: Array) -> Mask:
 
 
 def _median(away: Array) -> float:
-    there = away[np.isfinite(away)]
-    return float(np.median(there)) if len(there) else np.inf
+    finite = away[np.isfinite(away)]
+    return float(np.median(finite)) if len(finite) else np.inf
 
 
 def _agrees(truth: KnownBoxes, rows: BoxRows, reading: _Reading) -> bool:
@@ -271,21 +271,21 @@ def _readings(rows: BoxRows) -> Iterator[_Reading]:
     if np.abs(numbers).max() <= _MAX_NORMALISED:
         scaled = numbers * np.tile(rows.image_px, 2)
         for other in (plain, *others):
-            told = f"the boxes are shares of the image ({other.meaning}), must be in pixels: {form.meaning}"
-            yield _Reading(told, other.boxes_px(scaled), frame)
+            text = f"the boxes are shares of the image ({other.meaning}), must be in pixels: {form.meaning}"
+            yield _Reading(text, other.boxes_px(scaled), frame)
     own = sorted({(width, height) for width, height in np.unique(rows.image_px, axis=0).tolist()})
     near = [(round(width * by), round(height * by)) for width, height in own for by in (0.25, 0.5, 2, 4)]
     sizes_told = ", ".join(f"{width:g} x {height:g}" for width, height in own[:4])
     for image in dict.fromkeys((*near[:16], *_SIZES_PX)):
-        told = f"the boxes are those of an image of {image[0]} x {image[1]} px, must be in pixels of the camera's image"
-        yield _Reading(f"{told} ({sizes_told})", as_it_is * np.tile(rows.image_px / image, 2), frame)
+        text = f"the boxes are those of an image of {image[0]} x {image[1]} px, must be in pixels of the camera's image"
+        yield _Reading(f"{text} ({sizes_told})", as_it_is * np.tile(rows.image_px / image, 2), frame)
 
 
 def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
     """Readings in which the four numbers are others, or are counted from elsewhere."""
     for other in _other_forms(rows.form):
-        told = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
-        yield _Reading(told, other.boxes_px(rows.numbers), rows.frame)
+        fault = f"the boxes are read as {rows.form.meaning}, but are {other.meaning}"
+        yield _Reading(fault, other.boxes_px(rows.numbers), rows.frame)
     exchanged = rows.numbers[:, [1, 0, 3, 2]]
     yield _Reading(_EXCHANGED, rows.form.boxes_px(exchanged), rows.frame)
     if rows.form is CENTRE:  # of YOLO, as shares of width and height
@@ -298,7 +298,7 @@ def _form_readings(rows: BoxRows) -> Iterator[_Reading]:
 
 
 def _other_forms(form: BoxForm) -> list[BoxForm]:
-    return [each for each in (CORNERS, CENTRE, TOP_LEFT) if each.to_corners is not form.to_corners]
+    return [other for other in (CORNERS, CENTRE, TOP_LEFT) if other.to_corners is not form.to_corners]
 
 
 def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
@@ -307,10 +307,10 @@ def _close_readings(rows: BoxRows, as_it_is: Array) -> Iterator[_Reading]:
     pixels = f"pixels are counted from {first}, must be counted from {right}"
     frames = "frames count from 0, must count from 1" if rows.form is MOT else "frames are one too low"
     yield _Reading(pixels, as_it_is + step, rows.frame, _CLOSE)
-    for told, frame in ((frames, rows.frame_after), (_LATE, rows.frame_before)):
-        yield _Reading(told, as_it_is, frame, _FRAME)
-        yield _Reading(f"{told}, and {pixels}", as_it_is + step, frame, _FRAME)
+    for fault, frame in ((frames, rows.frame_after), (_LATE, rows.frame_before)):
+        yield _Reading(fault, as_it_is, frame, _FRAME)
+        yield _Reading(f"{fault}, and {pixels}", as_it_is + step, frame, _FRAME)
     if rows.form is CORNERS:  # in the other forms these are the other forms
-        half, told = np.tile(sizes(as_it_is) / 2, 2), "the corners lie half a box too far"
-        yield _Reading(f"{told} right and down: is x_min, y_min the centre?", as_it_is - half, rows.frame, _CLOSE)
-        yield _Reading(f"{told} left and up: is x_max, y_max the centre?", as_it_is + half, rows.frame, _CLOSE)
+        half, fault = np.tile(sizes(as_it_is) / 2, 2), "the corners lie half a box too far"
+        yield _Reading(f"{fault} right and down: is x_min, y_min the centre?", as_it_is - half, rows.frame, _CLOSE)
+        yield _Reading(f"{fault} left and up: is x_max, y_max the centre?", as_it_is + half, rows.frame, _CLOSE)

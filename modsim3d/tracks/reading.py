@@ -117,9 +117,9 @@ def stored_facts(folder: Path, run: StoredRun, table: Literal["tracks.parquet", 
         raise InputError(source_of(folder / FACTS), describe(error, TrackFacts)) from None
     _check_run(facts.run, _tracked_run(run), source_of(folder), of_files=bool(run.made_of))
     with open_input(folder / table, "tracks", input_files.MAX_TEXT_BYTES) as file:
-        found = hashlib.file_digest(file, "sha256").hexdigest()
-    if found != (listed := facts.files[table].sha256 if table in facts.files else "none"):
-        problem = f"was changed or damaged: its checksum is {found}, {FACTS} has {listed}"
+        checksum = hashlib.file_digest(file, "sha256").hexdigest()
+    if checksum != (listed := facts.files[table].sha256 if table in facts.files else "none"):
+        problem = f"was changed or damaged: its checksum is {checksum}, {FACTS} has {listed}"
         raise InputError(source_of(folder / table), [problem])
     return facts
 
@@ -155,13 +155,13 @@ def _check_run(of: TrackedRun, run: TrackedRun, source: str, *, of_files: bool) 
     labels and detections for one command."""
     remedy = "; --truth, --detections and --labels must be given as for `modsim3d track`" if of_files else ""
     for name in ("scene", "seed", "detector_seed", "traffic_seed", "steps", "scene_sha256"):
-        theirs, ours = getattr(of, name), getattr(run, name)
-        if theirs != ours:
-            told = f"{name} was {shown(theirs)}, and is {shown(ours)} in this run"
-            raise InputError(source, [f"these tracks are of another run: {told}{remedy}"])
+        track_fact, run_fact = getattr(of, name), getattr(run, name)
+        if track_fact != run_fact:
+            clash = f"{name} was {shown(track_fact)}, and is {shown(run_fact)} in this run"
+            raise InputError(source, [f"these tracks are of another run: {clash}{remedy}"])
     if None not in (of.detections_sha256, run.detections_sha256) and of.detections_sha256 != run.detections_sha256:
-        told = f"checksums these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
-        raise InputError(source, [f"these tracks are of other detections of the same scene and seeds: {told}{remedy}"])
+        clash = f"checksums these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
+        raise InputError(source, [f"these tracks are of other detections of the same scene and seeds: {clash}{remedy}"])
 
 
 def _check_columns(table: pa.Table, source: str) -> None:
@@ -238,11 +238,11 @@ def read_tracks(path: StrPath, run: StoredRun, rows: RunRows, cameras: Sequence[
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
     files = _files(path, rows, cameras)
-    known = _boxes_of("a detection", rows.detection_frame, rows.detection_boxes_px())
+    detections = _boxes_of("a detection", rows.detection_frame, rows.detection_boxes_px())
     true_px = np.concatenate([rows.boxes_px("visible"), rows.boxes_px("full")])
     truth = _boxes_of("a vessel", np.tile(rows.truth_frame, 2), true_px)
     for file, (index, camera) in product(files, enumerate(rows.scene.cameras)):
-        if problem := misreading(_box_rows(file, rows, index), known, truth):  # they are meant otherwise than read
+        if problem := misreading(_box_rows(file, rows, index), detections, truth):  # they are meant otherwise than read
             where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
             raise InputError(file.problems.source, [where + problem.sentence])
     for file in files:

@@ -68,11 +68,11 @@ class FileRows:
             lambda row: f"confidence must be from 0 to 1 (got {self.confidence[row]:g})",
         )
         (a, b), (_, d) = np.moveaxis(self.covariance_px2, 0, -1)
-        known = ~np.isnan(self.covariance_px2)[:, [0, 0, 1], [0, 1, 1]]
-        some = known.any(axis=1) & ~known.all(axis=1)
+        present = ~np.isnan(self.covariance_px2)[:, [0, 0, 1], [0, 1, 1]]
+        some = present.any(axis=1) & ~present.all(axis=1)
         self.problems.refuse(some, lambda row: "the covariance needs all three numbers, or none")
         self.problems.refuse(
-            known.all(axis=1) & ~covariances(a, b, d),
+            present.all(axis=1) & ~covariances(a, b, d),
             lambda row: (
                 f"var_x_px2 {a[row]:g}, cov_xy_px2 {b[row]:g} and var_y_px2 {d[row]:g} are no covariance: both "
                 "variances must be above 0, and their product above the square of cov_xy_px2"
@@ -89,8 +89,8 @@ class FileRows:
         def say(row: int) -> str:
             frame = int(self.frame[row])
             where = f"step {frame // len(cameras)} of camera '{cameras[frame % len(cameras)]}'"
-            there = f"{self.problems.word} {self.problems.line[before[row]]}"
-            return f"track {self.track[row]} is at {where} already ({there}): a track has one box in a frame"
+            place = f"{self.problems.word} {self.problems.line[before[row]]}"
+            return f"track {self.track[row]} is at {where} already ({place}): a track has one box in a frame"
 
         self.problems.refuse(before != NOBODY, say)
 
@@ -103,7 +103,7 @@ def frames_at(rows: RunRows, camera: Indices, step: Indices, problems: RowProble
     """Number of the frame of each row; a camera that takes none at the step is a problem, shape (k,)."""
     count = len(rows.scene.cameras)
     wanted = step * count + camera
-    there = positions(rows.frames, np.where((camera < 0) | (step < 0), NOBODY, wanted)) != NOBODY
+    valid = positions(rows.frames, np.where((camera < 0) | (step < 0), NOBODY, wanted)) != NOBODY
 
     def say(row: int) -> str:
         name = rows.scene.cameras[camera[row]].name
@@ -113,8 +113,8 @@ def frames_at(rows: RunRows, camera: Indices, step: Indices, problems: RowProble
         near = steps[np.argsort(np.abs(steps - step[row]), kind="stable")[:1]].tolist()
         return f"camera '{name}' takes no frame at step {step[row]}" + (f"; the nearest is {near[0]}" if near else "")
 
-    problems.refuse(~there & (camera >= 0) & (step != NOBODY), say)
-    return np.where(there, wanted, NOBODY)
+    problems.refuse(~valid & (camera >= 0) & (step != NOBODY), say)
+    return np.where(valid, wanted, NOBODY)
 
 
 def tracks_of(files: Sequence[FileRows], cameras: int) -> Tracks:
@@ -164,15 +164,15 @@ def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
         problems.append("line 1: a column 'step' or 'time_s' is needed")
     if "track" not in names:
         problems.append("line 1: the column 'track' is missing")
-    there = [form for form in (CORNERS, CENTRE) if set(form.names) & set(names)]
-    if len(there) != 1 or not set(there[0].names) <= set(names):
+    forms = [form for form in (CORNERS, CENTRE) if set(form.names) & set(names)]
+    if len(forms) != 1 or not set(forms[0].names) <= set(names):
         either = f"either {', '.join(CORNERS.names)} or {', '.join(CENTRE.names)}"
         problems.append(f"line 1: the columns of the box must be {either}")
     if 0 < len(set(COVARIANCES) & set(names)) < len(COVARIANCES):
         problems.append(f"line 1: {', '.join(COVARIANCES)} belong together")
     if problems:
         raise InputError(source, problems)
-    return there[0]
+    return forms[0]
 
 
 def _hint(name: str) -> str:
@@ -239,15 +239,15 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> Mapping[int, Pa
             raise InputError(source, [problem])
         return {names.index(needed[0]): path}
     folder = path if any(path.glob("*.txt")) or not (path / _DATA).is_dir() else path / _DATA
-    there = {file.stem: file for file in sorted(folder.glob("*.txt"))}
-    if not there:
+    files = {file.stem: file for file in sorted(folder.glob("*.txt"))}
+    if not files:
         raise InputError(source, [f"holds no tracks: neither tracks.json nor {wanted}"])
-    problems = [_unknown(stem, names, rows) for stem in there if stem not in names]
-    missing = [name for name in needed if name not in there]
+    problems = [_unknown(stem, names, rows) for stem in files if stem not in names]
+    missing = [name for name in needed if name not in files]
     problems += [f"{name}.txt is missing: a tracker that found nothing leaves an empty file" for name in missing]
     if problems:
         raise InputError(source_of(folder), problems)
-    return {names.index(stem): file for stem, file in there.items() if stem in needed}
+    return {names.index(stem): file for stem, file in files.items() if stem in needed}
 
 
 def _unknown(stem: str, names: tuple[str, ...], rows: RunRows) -> str:
@@ -287,11 +287,11 @@ def _mot_frames(table: TextTable, rows: RunRows, camera: int, first: int) -> Ind
     taken = rows.frames[rows.frames % len(rows.scene.cameras) == camera]
     number = table.whole_numbers("frame", 0)
     name = rows.scene.cameras[camera].name
-    told = "frame is 0: frames count from 1, and here perhaps from 0"
-    table.problems.refuse((number == 0) & (first == 1), lambda row: told)
+    problem = "frame is 0: frames count from 1, and here perhaps from 0"
+    table.problems.refuse((number == 0) & (first == 1), lambda row: problem)
     has = f"camera '{name}' has frames {first} to {len(taken) - 1 + first}"
     table.problems.refuse(number >= len(taken) + first, lambda row: f"there is no frame {number[row]}: {has}")
-    there = (number >= first) & (number < len(taken) + first)
-    found = np.full(len(table), NOBODY)
-    found[there] = taken[number[there] - first]
-    return found
+    inside = (number >= first) & (number < len(taken) + first)
+    frames = np.full(len(table), NOBODY)
+    frames[inside] = taken[number[inside] - first]
+    return frames

@@ -64,9 +64,9 @@ def appearances(rows: RunRows, gap_s: float) -> Indices:
     order = np.lexsort((step, rows.truth_vessel, camera))
     other = (np.diff(camera[order]) != 0) | (np.diff(rows.truth_vessel[order]) != 0)
     away = (np.diff(frame_of_camera[order]) > 1) & (np.diff(times_s[step[order]]) > gap_s + _TIME_S)
-    found = np.zeros(len(order), dtype=np.int64)
-    found[order[1:]] = np.cumsum(other | away)
-    return found
+    numbers = np.zeros(len(order), dtype=np.int64)
+    numbers[order[1:]] = np.cumsum(other | away)
+    return numbers
 
 
 _SAME_AS_BEFORE = 1000.0  # what a pair of the frame before gains, as in CLEAR MOT (Bernardin & Stiefelhagen (2008))
@@ -125,7 +125,7 @@ def follow(
     track_row, truth_row = np.full(len(truth), NOBODY), np.full(len(tracks), NOBODY)
     before: dict[int, dict[int, int]] = {}  # camera: track that followed each identity in the camera's frame before
     frames = np.union1d(truth.frame, tracks.frame)
-    places = (column.tolist() for each in (truth, tracks) for column in extents(each.frame, frames))
+    places = (column.tolist() for side in (truth, tracks) for column in extents(side.frame, frames))
     for frame, first_truth, vessels, first_track, boxes in zip(frames.tolist(), *places, strict=True):
         a, b = first_truth + np.arange(vessels), first_track + np.arange(boxes)
         if not len(a) or not len(b):

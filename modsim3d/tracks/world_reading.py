@@ -69,20 +69,20 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
         raise InputError(source, [f"line 1 must name the columns, with commas between them (got {shown(line)}){marks}"])
     groups = _groups(source, columns)
     table = TextTable.of(body, columns, source, first_line=2)
-    known = {name: table.numbers(name, missing=_MISSING) for name in COLUMNS if name != "track" and table.has(name)}
+    numbers = {name: table.numbers(name, missing=_MISSING) for name in COLUMNS if name != "track" and table.has(name)}
     table.problems.settle()
     covariance = np.full((len(table), 4, 4), np.nan)
     for (i, j), name in COVARIANCES.items():
-        if name in known:
-            covariance[:, i, j] = covariance[:, j, i] = known[name]
-    degrees = np.column_stack([known[name] for name in ON_EARTH]) if ON_EARTH in groups else None
+        if name in numbers:
+            covariance[:, i, j] = covariance[:, j, i] = numbers[name]
+    degrees = np.column_stack([numbers[name] for name in ON_EARTH]) if ON_EARTH in groups else None
     rows = WorldRows(
         problems=table.problems,
         name=name_of(path),
         track=table.columns["track"].to_pylist(),
-        time_s=_times_s(known, table.problems, run),
-        position_m=_positions_m(known, degrees, table.problems, run),
-        velocity_m_s=_velocities_m_s(known, groups, degrees, run),
+        time_s=_times_s(numbers, table.problems, run),
+        position_m=_positions_m(numbers, degrees, table.problems, run),
+        velocity_m_s=_velocities_m_s(numbers, groups, degrees, run),
         covariance=covariance,
         degrees=degrees,
     )
@@ -104,33 +104,33 @@ def _groups(source: str, columns: Sequence[str]) -> set[tuple[str, ...]]:
         problems.append("has no column track, the tracker's name of the track")
     if "time_s" not in columns and "step" not in columns:
         problems.append("has no column time_s, the time since the scene's first step, and no column step")
-    found = {group for group in GROUPS if set(group) <= set(columns)}
+    groups = {group for group in GROUPS if set(group) <= set(columns)}
     for what, several, needed in (
         ("position", (IN_SCENE, ON_EARTH), True),
         ("velocity", (ALONG_AXES, OVER_GROUND, BY_COURSE), False),
     ):
         names = " or ".join(f"{group[0]} and {group[1]}" for group in several)
-        count = len(found & set(several))
+        count = len(groups & set(several))
         if count > 1 or (needed and not count and not any(set(group) & set(columns) for group in several)):
             problems.append(f"must have one {what}: {names} (got {'more than one' if count else 'none'})")
-    if _OF_BOTH in found and not {_OF_POSITION, _OF_VELOCITY} <= found:
+    if _OF_BOTH in groups and not {_OF_POSITION, _OF_VELOCITY} <= groups:
         problems.append(f"has {_OF_BOTH[0]} without the covariances of position and velocity")
     if problems:
         raise InputError(source, problems)
-    return found
+    return groups
 
 
-def _times_s(known: Mapping[str, Array], problems: RowProblems, run: StoredRun) -> Array:
+def _times_s(numbers: Mapping[str, Array], problems: RowProblems, run: StoredRun) -> Array:
     """The time of each row, by its own or its step, which may not contradict each other."""
     times_s = run.scene.times_s(0, run.steps)
-    steps = known.get("step")
-    if "time_s" not in known:
-        steps = known["step"]
+    steps = numbers.get("step")
+    if "time_s" not in numbers:
+        steps = numbers["step"]
         wrong = ~((steps >= 0) & (steps < len(times_s)) & (steps == np.floor(steps)))
         must = f"must be a whole number from 0 to {len(times_s) - 1}, the run's last"
         problems.refuse(wrong, lambda row: f"step {must} (got {steps[row]:.15g})")
         return times_s[np.where(wrong, 0, steps).astype(np.int64)]
-    time_s = known["time_s"]
+    time_s = numbers["time_s"]
     if steps is not None:  # blank ones say nothing
         of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
 
@@ -142,9 +142,9 @@ def _times_s(known: Mapping[str, Array], problems: RowProblems, run: StoredRun) 
     return time_s
 
 
-def _positions_m(known: Mapping[str, Array], degrees: Array | None, problems: RowProblems, run: StoredRun) -> Array:
+def _positions_m(numbers: Mapping[str, Array], degrees: Array | None, problems: RowProblems, run: StoredRun) -> Array:
     if degrees is None:
-        return np.column_stack([known[name] for name in IN_SCENE])
+        return np.column_stack([numbers[name] for name in IN_SCENE])
     if run.scene.origin is None:
         keys = "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
         problem = "has latitude and longitude, but the run's scene has no origin: give the scene the key"
@@ -156,18 +156,18 @@ def _positions_m(known: Mapping[str, Array], degrees: Array | None, problems: Ro
 
 
 def _velocities_m_s(
-    known: Mapping[str, Array], groups: set[tuple[str, ...]], degrees: Array | None, run: StoredRun
+    numbers: Mapping[str, Array], groups: set[tuple[str, ...]], degrees: Array | None, run: StoredRun
 ) -> Array:
     """Along w1 and w2, NaN where unknown, shape (k, 2)."""
     if ALONG_AXES in groups:
-        return np.column_stack([known[name] for name in ALONG_AXES])
+        return np.column_stack([numbers[name] for name in ALONG_AXES])
     if BY_COURSE in groups:
-        speed, course = known["speed_m_s"], np.deg2rad(known["course_deg"])
+        speed, course = numbers["speed_m_s"], np.deg2rad(numbers["course_deg"])
         east, north = speed * np.sin(course), speed * np.cos(course)
     elif OVER_GROUND in groups:
-        east, north = (known[name] for name in OVER_GROUND)
+        east, north = (numbers[name] for name in OVER_GROUND)
     else:
-        return np.full((len(next(iter(known.values()))), 2), np.nan)
+        return np.full((len(next(iter(numbers.values()))), 2), np.nan)
     if degrees is None or run.scene.origin is None:
         return np.column_stack([east, north])
     # True north differs from w2 by the convergence of the meridians, as in the export of AIS.
@@ -202,19 +202,19 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
     wanted = f"frame_id must be '{MAP}', the scene's axes"
     of_messages.refuse([frame != MAP for frame in frames], lambda row: f"{wanted} (got {shown(frames[row])})")
     of_messages.settle()
-    found = [each for _, _, estimates in messages for each in estimates]
+    rows = [estimate for _, _, estimates in messages for estimate in estimates]
     start = float(run.scene.timestamps(0, 1)[0])
-    covariance = np.full((len(found), 4, 4), np.nan)
-    velocity = np.full((len(found), 2), np.nan)
-    if found:
-        covariance[:, :2, :2] = _covariances(np.array([each.covariance for each in found]))[:, :2, :2]
-        velocity, covariance[:, 2:, 2:] = _velocities(found)
+    covariance = np.full((len(rows), 4, 4), np.nan)
+    velocity = np.full((len(rows), 2), np.nan)
+    if rows:
+        covariance[:, :2, :2] = _covariances(np.array([estimate.covariance for estimate in rows]))[:, :2, :2]
+        velocity, covariance[:, 2:, 2:] = _velocities(rows)
     return WorldRows(
         problems=RowProblems(source, np.repeat(number, [len(estimates) for _, _, estimates in messages]), word),
         name=path.name,
-        track=[each.track for each in found],
-        time_s=np.array([each.stamp_ns for each in found], dtype=np.float64) / 1e9 - start,
-        position_m=np.array([each.position_m for each in found], dtype=np.float64).reshape(-1, 2),
+        track=[estimate.track for estimate in rows],
+        time_s=np.array([estimate.stamp_ns for estimate in rows], dtype=np.float64) / 1e9 - start,
+        position_m=np.array([estimate.position_m for estimate in rows], dtype=np.float64).reshape(-1, 2),
         velocity_m_s=velocity,
         covariance=covariance,
     )
@@ -226,16 +226,16 @@ def _covariances(covariances: Array) -> Array:
     return np.where(unknown[:, None], np.nan, covariances).reshape(-1, 6, 6)
 
 
-def _velocities(found: list[_Estimate]) -> tuple[Array, Array]:
+def _velocities(estimates: list[_Estimate]) -> tuple[Array, Array]:
     """Velocities in the map and their covariances, shapes (k, 2) and (k, 2, 2); a bag of zeros says none."""
-    quaternions = np.array([each.quaternion for each in found], dtype=np.float64)
-    velocity = np.array([each.velocity_m_s for each in found], dtype=np.float64)
+    quaternions = np.array([estimate.quaternion for estimate in estimates], dtype=np.float64)
+    velocity = np.array([estimate.velocity_m_s for estimate in estimates], dtype=np.float64)
     length = np.linalg.norm(quaternions, axis=1)
     quaternions[~(length > 0)] = (0.0, 0.0, 0.0, 1.0)  # an orientation that nobody filled in
     turn = Rotation.from_quat(quaternions)
-    covariance = _covariances(np.array([each.velocity_covariance for each in found]))[:, :3, :3]
+    covariance = _covariances(np.array([estimate.velocity_covariance for estimate in estimates]))[:, :3, :3]
     if not velocity.any():
-        return np.full((len(found), 2), np.nan), np.full((len(found), 2, 2), np.nan)
+        return np.full((len(estimates), 2), np.nan), np.full((len(estimates), 2, 2), np.nan)
     matrices = turn.as_matrix()
     in_map = matrices @ covariance @ np.swapaxes(matrices, -1, -2)
     return turn.apply(velocity)[:, :2], in_map[:, :2, :2]
@@ -265,21 +265,21 @@ def _choose_topic(topics: Mapping[str, str], source: str, topic: str | None) -> 
 
 
 def _of_array(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
-    for each in message.detections:
-        best = each.results[0].pose if len(each.results) else None
-        centre = best.pose if best else each.bbox.center
+    for detection in message.detections:
+        best = detection.results[0].pose if len(detection.results) else None
+        centre = best.pose if best else detection.bbox.center
         covariance = np.asarray(best.covariance) if best else np.zeros(36)
         at = (centre.position.x, centre.position.y)
-        track = each.id if hasattr(each, "id") else each.tracking_id  # as vision_msgs 2 calls it
+        track = detection.id if hasattr(detection, "id") else detection.tracking_id  # as vision_msgs 2 calls it
         yield _Estimate(track, stamp_ns, at, covariance, (0, 0, 0, 1), (0, 0, 0), np.zeros(36))
 
 
 def _of_odometry(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
     pose, twist = message.pose, message.twist
     place, turn, speed = pose.pose.position, pose.pose.orientation, twist.twist.linear
-    known = message.child_frame_id, stamp_ns, (place.x, place.y), np.asarray(pose.covariance)
+    facts = message.child_frame_id, stamp_ns, (place.x, place.y), np.asarray(pose.covariance)
     quaternion, velocity = (turn.x, turn.y, turn.z, turn.w), (speed.x, speed.y, speed.z)
-    yield _Estimate(*known, quaternion, velocity, np.asarray(twist.covariance))
+    yield _Estimate(*facts, quaternion, velocity, np.asarray(twist.covariance))
 
 
 IN_IMAGE = "x_min_px"

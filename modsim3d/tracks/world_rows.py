@@ -39,12 +39,12 @@ def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: t
     now, meant = float(np.median(as_it_is)), ""
     extent_m = float(np.hypot(*(np.nanmax(vessels_m, axis=(0, 1)) - np.nanmin(vessels_m, axis=(0, 1)))))
     best = limit = min(_FITS * extent_m, _FITS_M)
-    for told, places_m, at in _readings(position_m[rows], step, hulls, own):
+    for fault, places_m, at in _readings(position_m[rows], step, hulls, own):
         away = _nearest_m(places_m, vessels_m[at])
         factor, least = (_MUCH, _MIN_ROWS) if at is step else (_STEP, _MIN_STEP_ROWS)
         half, nearer = float(np.median(away)), ((away < as_it_is) & (away < limit)).mean() >= _NEARER
         if half < best and now > factor * half and nearer and len(rows) >= least:
-            best, meant = half, told
+            best, meant = half, fault
     return meant and f"{meant} (then half of them are within {best:.3g} m of a vessel instead of {now:.3g} m)"
 
 
@@ -55,8 +55,8 @@ def _readings(
     yield "w1_m and w2_m of the positions are exchanged", position_m[:, ::-1], step
     for signs in ((1, -1), (-1, 1)):
         yield "the positions are turned by a right angle", position_m[:, ::-1] * signs, step
-    for told, signs in _MIRRORED.items():
-        yield f"{told} the other way round in the positions, as in mirrored or turned axes", position_m * signs, step
+    for axes, signs in _MIRRORED.items():
+        yield f"{axes} the other way round in the positions, as in mirrored or turned axes", position_m * signs, step
     for unit, scale in _SCALES.items():
         yield f"the positions seem to be {unit}, must be metres", position_m * scale, step
     for column in own[:1]:
@@ -148,9 +148,9 @@ def _check_twice(rows: WorldRows, track: Indices) -> None:
 def _check_covariances(rows: WorldRows) -> None:
     for what, size in (("position", slice(0, 2)), ("velocity", slice(2, 4)), ("position and velocity", slice(0, 4))):
         block = rows.covariance[:, size, size]
-        known = ~_in_row(~np.isfinite(block))
-        wrong = np.zeros_like(known)
-        wrong[known] = np.linalg.eigvalsh(block[known])[:, 0] <= 0
+        finite = ~_in_row(~np.isfinite(block))
+        wrong = np.zeros_like(finite)
+        wrong[finite] = np.linalg.eigvalsh(block[finite])[:, 0] <= 0
         rows.problems.refuse(wrong, lambda _, what=what: f"the covariance of the {what} is not positive definite")  # type: ignore[misc]
 
 

@@ -138,8 +138,8 @@ def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
 
 def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusion:
     """Boxes, areas and occluders of regions that are already cut; see `analytic_occlusion`."""
-    order, known = regions.order, ~np.isnan(outlines.areas_px)
-    areas_px = np.where(known, outlines.areas_px, shapely.area(regions.silhouettes))
+    order, finite = regions.order, ~np.isnan(outlines.areas_px)
+    areas_px = np.where(finite, outlines.areas_px, shapely.area(regions.silhouettes))
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, areas_px)
     touching = np.column_stack([order.first, order.second])[order.intersecting]
     farther = touching[np.arange(len(touching)), np.argmax(outlines.depth_m[touching], axis=1)]
@@ -172,8 +172,8 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     """Occlusion of vessels' boxes by vessels' boxes; pixel counts are areas of rectangles."""
     rectangles = shapely.box(*outlines.boxes_px.T)
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
-    known = outlines.boxed[first] & outlines.boxed[second]
-    first, second = first[known], second[known]
+    both = outlines.boxed[first] & outlines.boxed[second]
+    first, second = first[both], second[both]
     nearer = outlines.depth_m[first] < outlines.depth_m[second]
     farther = outlines.depth_m[first] > outlines.depth_m[second]  # of equal depth, neither hides the other
     hidden, hiders = (np.concatenate([a[nearer], b[farther]]) for a, b in ((second, first), (first, second)))
@@ -254,7 +254,7 @@ def visible_areas(outlines: Outlines, intrinsics: Intrinsics, supersample: int) 
     some = outlines.take(convex)
     regions = visible_regions(some, intrinsics)
     areas[convex] = occlusion_of_regions(some, regions).visible_px
-    boundaries = (boundary_pixels(each, supersample) for each in (regions.silhouettes, regions.visible))
+    boundaries = (boundary_pixels(shapes, supersample) for shapes in (regions.silhouettes, regions.visible))
     bounds[convex] = sum(boundaries) / supersample**2
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     mesh = ~outlines.convex

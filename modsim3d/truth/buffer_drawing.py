@@ -64,14 +64,14 @@ def triangles_of(
     most `guard_px` buffer pixels outside it, and `LENS_GUARD_PX` if the lens distorts. With `facing_only`, the faces of
     whole closed solids that are turned away from the camera are left out: the others hide them."""
     inside = within_guard(outlines, intrinsics, supersample, guard_px)
-    found = [Triangles.none()]
+    pieces = [Triangles.none()]
     for part in outlines.parts:
         uncut = inside[part.rows]
-        found.append(_uncut(part.take(uncut), intrinsics, supersample if facing_only and part.solid.closed else None))
+        pieces.append(_uncut(part.take(uncut), intrinsics, supersample if facing_only and part.solid.closed else None))
         if not uncut.all():
             rest = part.take(~uncut)
-            found += _clipped(rest, outlines.crosses_near[rest.rows], intrinsics, supersample, guard_px)
-    triangles = Triangles.join(found)
+            pieces += _clipped(rest, outlines.crosses_near[rest.rows], intrinsics, supersample, guard_px)
+    triangles = Triangles.join(pieces)
     return triangles.take(np.argsort(triangles.row, kind="stable"))
 
 

@@ -117,7 +117,7 @@ def batches_of(clusters: list[Cluster]) -> list[Batch]:
             x, shelf = x + region.width, max(shelf, region.height)
         chosen, waiting = waiting[: len(places)], waiting[len(places) :]
         size = max(x + c.shared.width for (x, _), c in zip(places, chosen, strict=True)), y + shelf
-        batches.append(Batch(chosen, Sheet([each.shared for each in chosen], np.array(places), size)))
+        batches.append(Batch(chosen, Sheet([cluster.shared for cluster in chosen], np.array(places), size)))
     return batches
 
 

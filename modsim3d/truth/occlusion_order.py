@@ -89,8 +89,8 @@ def widest_gap_axis(vertices_a: Array, vertices_b: Array) -> Array:
     a, b = (np.pad(vertices - centre, ((0, 0), (0, 2)), constant_values=1.0) for vertices in (vertices_a, vertices_b))
     rows = np.concatenate([a * (1, 1, 1, -1, 1), b * (-1, -1, -1, 1, 1)])
     bounds = [(-1, 1)] * 3 + [(None, None)] * 2
-    found = linprog([0, 0, 0, 0, -1], A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds, method="highs-ds")
-    axis = np.zeros(3) if found.x is None else found.x[:3]
+    solution = linprog([0, 0, 0, 0, -1], A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds, method="highs-ds")
+    axis = np.zeros(3) if solution.x is None else solution.x[:3]
     return _unit(axis) if axis.any() else axis
 
 
@@ -222,7 +222,7 @@ def corners_from_vertices(solid: Solid) -> Array:
     """Map from a solid's vertices, stretched and placed, to the corners of the box around it, shape (8, K)."""
     low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
     around = low + (high - low) * (shoebox().vertices - shoebox().vertices[0])
-    unit, corners = (np.column_stack([each, np.ones(len(each))]) for each in (solid.vertices, around))
+    unit, corners = (np.column_stack([points, np.ones(len(points))]) for points in (solid.vertices, around))
     return read_only(corners @ np.linalg.pinv(unit))
 
 

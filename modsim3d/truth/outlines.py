@@ -105,15 +105,15 @@ def outline(
     """Project all bodies at the steps of the camera's poses and keep those whose silhouettes overlap the image. Unless
     they are to be measured, areas and shares are NaN, and boxes are whole ones in the pinhole's image; of what the near
     plane cuts they are the whole image, and it may be outside."""
-    found = [_outline(intrinsics, camera_poses, some, measured) for some in bodies]
-    if len(found) == 1:  # they are in order
-        ((columns, part),) = found
+    pairs = [_outline(intrinsics, camera_poses, some, measured) for some in bodies]
+    if len(pairs) == 1:  # they are in order
+        ((columns, part),) = pairs
         return Outlines(**columns, parts=(part,) if len(part.rows) else ())
-    columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
+    columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in pairs)]) for name in _COLUMNS}
     order = np.lexsort((columns["occluder"], columns["frame"]))
     place = new_numbers(order, len(order))
     parts, first = [], 0
-    for _, part in found:
+    for _, part in pairs:
         rows = place[first : first + len(part.rows)]
         first += len(part.rows)
         ascending = np.argsort(rows)
@@ -137,14 +137,14 @@ def _outline(
     """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
     steps = max(1, MAX_VERTICES // bodies.vertices_m[..., 0].size)
     portions = [slice(first, first + steps) for first in range(0, len(bodies.present), steps)]
-    found = [_portion(intrinsics, camera_poses.at(some), bodies.at(some), measured) for some in portions]
-    if len(found) == 1:
-        return found[0]
-    for some, (columns, _) in zip(portions, found, strict=True):
+    pairs = [_portion(intrinsics, camera_poses.at(some), bodies.at(some), measured) for some in portions]
+    if len(pairs) == 1:
+        return pairs[0]
+    for some, (columns, _) in zip(portions, pairs, strict=True):
         columns["frame"] += some.start
-    parts = [part for _, part in found]
+    parts = [part for _, part in pairs]
     vertices, pixels = (np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VERTICES)
-    joined = {name: np.concatenate([columns[name] for columns, _ in found]) for name in _COLUMNS}
+    joined = {name: np.concatenate([columns[name] for columns, _ in pairs]) for name in _COLUMNS}
     return joined, OutlinePart(bodies.solid, np.arange(len(vertices)), vertices, pixels)
 
 
@@ -244,8 +244,8 @@ def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsic
         boxes[of[first], :2] = np.minimum.reduceat(pixels.min(axis=1), first)
         boxes[of[first], 2:] = np.maximum.reduceat(pixels.max(axis=1), first)
     if intrinsics.distortion is not None:
-        known = np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
-        boxes[known] = shapely.bounds(in_image(shapely.box(*boxes[known].T), intrinsics))
+        filled = np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+        boxes[filled] = shapely.bounds(in_image(shapely.box(*boxes[filled].T), intrinsics))
     return boxes
 
 
@@ -271,7 +271,7 @@ MAX_TRIANGLES = 30_000  # most triangles times points that are looked at togethe
 def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, int] | None:
     """The first frame in which a camera, at positions in WCF at S steps, shape (S, 3), is inside one of the bodies, and
     that body, as an index into the scene's occluder names; None if the camera is always outside."""
-    found = []
+    hits = []
     for some in bodies:
         offsets = cameras_m[:, None, None, :] - some.positions_m[:, :, None, :]
         places = (offsets @ some.world_R_body)[:, :, 0, :]  # in the frame of each body
@@ -281,8 +281,8 @@ def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, 
             frames, triangles = np.flatnonzero(within[:, body]), some.vertices_m[body][some.solid.faces]
             for some_frames in np.array_split(frames, -(-len(frames) * len(triangles) // MAX_TRIANGLES)):
                 inside = np.abs(solid_angle(places[some_frames, body], triangles)) > INSIDE
-                found += [(frame, int(some.occluder[body])) for frame in some_frames[inside][:1].tolist()]
-    return min(found, default=None)
+                hits += [(frame, int(some.occluder[body])) for frame in some_frames[inside][:1].tolist()]
+    return min(hits, default=None)
 
 
 def solid_angle(points: Array, triangles: Array) -> Array:

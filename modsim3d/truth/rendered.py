@@ -72,7 +72,7 @@ def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> 
     """Whether solids `far` (P,) are `gap_m` (P,) beyond all faces of solids `near` (P,) that the camera may see. A ray
     meets one of these faces first, even if the solids touch: a hill that stands on an island seen from below is behind
     its shores. If the near solid is not convex, that is not known."""
-    found = np.zeros(len(near), dtype=bool)
+    in_front = np.zeros(len(near), dtype=bool)
     for pairs, a_part, b_part in pairs_by_parts(outlines, near, far):
         if not a_part.solid.convex:
             continue
@@ -84,8 +84,8 @@ def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> 
         outside_m = -(normal * a).sum(axis=-1)  # how far the camera, which is at zero, is in front of each face
         nearest_m = (normal @ np.swapaxes(others, 1, 2)).max(axis=-1) + outside_m
         gap = gap_m[pairs, None]
-        found[pairs] = ((nearest_m < -gap) | (outside_m < -gap)).all(axis=1)
-    return found
+        in_front[pairs] = ((nearest_m < -gap) | (outside_m < -gap)).all(axis=1)
+    return in_front
 
 
 def _ranks(near: Indices, far: Indices, count: int) -> Indices:
@@ -146,8 +146,8 @@ def rendered_spans(
             return silhouettes, Spans.join([uncut, parts.take(cut[parts.row])])
     whole, shown = [Spans.none()], [Spans.none()]
     for row, masks in vessel_masks(outlines, intrinsics, renderer, supersample):
-        for found, mask in ((whole, masks.silhouette), (shown, masks.visible)):
-            found.append(spans_of_ids(mask * np.uint32(row + 1)).moved(masks.region.x, masks.region.y))
+        for spans, mask in ((whole, masks.silhouette), (shown, masks.visible)):
+            spans.append(spans_of_ids(mask * np.uint32(row + 1)).moved(masks.region.x, masks.region.y))
     return Spans.join(whole), Spans.join(shown)
 
 
@@ -206,16 +206,16 @@ def _silhouettes(drawing: BufferDrawing, whole: Mask) -> tuple[Spans, Mask]:
     Scan conversion needs a closed solid that is `whole` (n,), of which nothing is cut off. Meshes with holes, and
     solids that the near plane cuts or that reach far outside the image, are drawn alone."""
     boxed = drawing.outlines.boxed
-    found, refused = _scan_converted(drawing, boxed & whole)
+    spans, refused = _scan_converted(drawing, boxed & whole)
     to_draw = boxed & ~whole
     to_draw[refused] = True
     alone = _drawn_alone(drawing, np.flatnonzero(to_draw))
-    return (Spans.join([found, *alone]).ordered() if alone else found), to_draw
+    return (Spans.join([spans, *alone]).ordered() if alone else spans), to_draw
 
 
 def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]:
     """The spans of the closed solids among some rows (n,), in order; and the rows (k,) to be drawn instead."""
-    found, refused = [Spans.none()], [np.empty(0, dtype=np.int64)]
+    parts, refused = [Spans.none()], [np.empty(0, dtype=np.int64)]
     for part in drawing.outlines.parts:
         chosen, size = rows[part.rows], (drawing.image.width, drawing.image.height)
         if not chosen.any():
@@ -227,9 +227,9 @@ def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]
             spans, odd = winding_spans(vertices, part.solid, size), np.empty(0, dtype=np.int64)
         else:
             spans, odd = Spans.none(), np.arange(len(of_part))
-        found.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
+        parts.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
         refused.append(of_part[odd])
-    spans = found[-1] if len(found) <= 2 else Spans.join(found).ordered()
+    spans = parts[-1] if len(parts) <= 2 else Spans.join(parts).ordered()
     return spans, np.concatenate(refused)
 
 
@@ -272,9 +272,9 @@ def _behind_both(pairs: ClusteredPairs, ranks: Indices, boxes: Array, one: Indic
     pair, second = order[ranges(first, count)], np.repeat(other, count)
     three = boxes[np.stack([vessel[pair], obstacle[pair], second])]
     common = (three[..., :2].max(axis=0) < three[..., 2:].min(axis=0)).all(axis=1)
-    found = np.zeros(len(obstacle), dtype=bool)
-    found[pair[common]] = True
-    return found
+    mask = np.zeros(len(obstacle), dtype=bool)
+    mask[pair[common]] = True
+    return mask
 
 
 def _drawn_alone(drawing: BufferDrawing, rows: Indices) -> list[Spans]:

@@ -46,22 +46,22 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     now, before = turn_pairs(model, evidence, _instances_of(evidence, fits))
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
-    found, lagged = [], []
+    products, lagged = [], []
     lags = _lagged_pairs(tracks, times_s) if model.persistence.box is not None else []
     width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, _REPLAYS, _REPLAYS_AT_ONCE):
         latent = latent_paths(tracks, times_s, model.persistence, rng, _REPLAYS_AT_ONCE, width)
         whitened = np.empty((_REPLAYS_AT_ONCE, len(times_s), 4))
         for k, fit in enumerate(fits):
-            ours = slice(ends[k], ends[k + 1])
-            statistics = fit.law.statistics(replayed_errors(fit.law, fit.sample, latent[:, ours], rng))
+            span = slice(ends[k], ends[k + 1])
+            statistics = fit.law.statistics(replayed_errors(fit.law, fit.sample, latent[:, span], rng))
             steps[k].append(fit.step.step_of(statistics))
             residual = statistics[..., :4] - fit.step.expected[:, :4]
-            whitened[:, ours] = np.einsum("nij,cnj->cni", fit.step.roots, residual, optimize=True)
-        found.append(_products(whitened, now, before))
+            whitened[:, span] = np.einsum("nij,cnj->cni", fit.step.roots, residual, optimize=True)
+        products.append(_products(whitened, now, before))
         lagged.append(_lagged_products(whitened, lags))
     errors = [np.concatenate(step).std(axis=0) for step in steps]
-    return ReplayedErrors(errors, np.concatenate(found), np.concatenate(lagged))
+    return ReplayedErrors(errors, np.concatenate(products), np.concatenate(lagged))
 
 
 def _lagged_pairs(tracks: Indices, times_s: Array) -> list[tuple[Indices, Indices]]:
@@ -99,7 +99,7 @@ def memory_checks(
     tracks, times_s = evidence.instances.tracks(rows)
     pairs = _lagged_pairs(tracks, times_s)
     whitened = np.concatenate([_own_scale(fit.step.whitened) for fit in fits]) if fits else np.empty((0, 4))
-    found = _lagged_products(whitened, pairs)
+    products = _lagged_products(whitened, pairs)
     for k, (lag, (later, earlier)) in enumerate(zip(LAGS, pairs, strict=True)):
         for j, component in enumerate(ERROR_COMPONENTS):
             measure = None
@@ -108,7 +108,7 @@ def memory_checks(
                 replays = replayed.lagged[:, k, j]
                 left, error = float(replays.mean()), float(replays.std(ddof=1))
                 scale = min(max(asked / left if left > _KNOWN * error / len(replays) ** 0.5 else 1.0, 1.0), _MAX_SCALE)
-                off = float(found[k, j]) - left
+                off = float(products[k, j]) - left
                 skewness = float(((replays - left) ** 3).mean()) / error**3
                 numbers = asked + scale * off, asked, scale * error
                 measure = Estimate(*numbers, len(later), skewness, statistic=off / error, possible=CORRELATION)
@@ -130,14 +130,14 @@ def box_persistence(
     # A wrong mean or spread would look like a correlation, so the sample's own are removed.
     product = float(_products(np.concatenate([_own_scale(fit.step.whitened) for fit in fits]), now, before))
     if replayed is None:
-        asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
+        asked, left, error, left_error = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
     else:
         times_s = evidence.instances.time_s[_instances_of(evidence, fits)]
         asked = _mean_correlation(model.persistence, times_s[now] - times_s[before])
         left, error = float(replayed.products.mean()), float(replayed.products.std())
-        known = error / math.sqrt(len(replayed.products))
+        left_error = error / math.sqrt(len(replayed.products))
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
-    share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
+    share = left / asked if abs(left) > _KNOWN * left_error else float(_shares_left(fits, now, before).mean())
     scale = 1 / max(share, _MIN_SHARE)
     off = product - left
     return Estimate(asked + off * scale, asked, error * scale, len(now), statistic=off / error, possible=CORRELATION)
@@ -276,22 +276,22 @@ def box_error_checks(
 
 def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> list[Parameter]:
     """The parameters of each state that was fitted; the boxes themselves; correlation from frame to frame."""
-    found = [fit for fit in fits.values() if fit is not None]
-    replayed = replay(model, evidence, found) if model.persistence.box_memory_s > 0 else None
+    fit_list = [fit for fit in fits.values() if fit is not None]
+    replayed = replay(model, evidence, fit_list) if model.persistence.box_memory_s > 0 else None
     parameters = []
     for s, fit in fits.items():
-        errors = None if replayed is None or fit is None else replayed.errors[found.index(fit)]
+        errors = None if replayed is None or fit is None else replayed.errors[fit_list.index(fit)]
         parameters += [
             replace(parameter, note=_limited(model, evidence, s) or parameter.note)
             for parameter in _state_checks(model.states[s], evidence, _rows(model, evidence, s), fit, errors)
         ]
-    persistence = box_persistence(model, evidence, found, replayed)
+    persistence = box_persistence(model, evidence, fit_list, replayed)
     key = "persistence.box_s" if model.persistence.box is None else "persistence.box: correlation, 1 frame apart"
     return [
         *parameters,
         _box_check(evidence),
         Parameter(key, DetectorPart.BOX_ERROR, persistence, note=correlation_note(persistence)),
-        *memory_checks(model, evidence, found, replayed),
+        *memory_checks(model, evidence, fit_list, replayed),
     ]
 
 
@@ -311,12 +311,12 @@ def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
     """True detections that are one box of one vessel, chosen independently of their errors, shape (m,). Only boxes that
     come out wide enough are split, and the errors of split boxes are not known. The others alone would be too narrow on
     average, so as large a share of the narrow boxes of long vessels is left out."""
-    found, rule = evidence.true_detections, model.merges_and_splits
-    usable: Mask = found.kind == TRUE
+    hits, rule = evidence.true_detections, model.merges_and_splits
+    usable: Mask = hits.kind == TRUE
     if not rule.splits:
         return usable
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    narrow = rule.looks_long(truth[found.instance]) & (sizes(found.boxes_px)[:, 0] < MIN_SPLIT_PX)
+    narrow = rule.looks_long(truth[hits.instance]) & (sizes(hits.boxes_px)[:, 0] < MIN_SPLIT_PX)
     return usable & ~(narrow & (np.random.default_rng(0).random(len(narrow)) < rule.splits))
 
 
@@ -328,8 +328,8 @@ def _is_singular(state: PerformanceState) -> bool:
 def _fit(state: PerformanceState, evidence: Evidence, rows: Indices, table: MomentTable) -> StateFit | None:
     if len(rows) < MIN_DETECTIONS or _is_singular(state):
         return None
-    law, found, instances = ErrorParameters.of(state.box_error), evidence.true_detections, evidence.instances
-    sample = StateErrors(found.errors_px[rows], found.instance[rows], instances.boxes_px, instances.image_px)
+    law, hits, instances = ErrorParameters.of(state.box_error), evidence.true_detections, evidence.instances
+    sample = StateErrors(hits.errors_px[rows], hits.instance[rows], instances.boxes_px, instances.image_px)
     step = fit_step(law, sample, table)
     return None if step is None else StateFit(law, fitted_law(law, step, sample), step, sample, rows)
 
@@ -376,9 +376,9 @@ def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
     """Checks of a singular covariance: errors without spread must be their mean."""
     law = ErrorParameters(state.box_error.mean, np.zeros(4), np.eye(4), state.box_error.relative)
-    found = evidence.true_detections
-    means, _ = law.at(evidence.instances.boxes_px[found.instance[rows]])
-    off = np.abs(found.errors_px[rows] - means) > _ROUNDING_PX
+    hits = evidence.true_detections
+    means, _ = law.at(evidence.instances.boxes_px[hits.instance[rows]])
+    off = np.abs(hits.errors_px[rows] - means) > _ROUNDING_PX
     still = (state.box_error.std <= 0) & (state.box_error.growth <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):
@@ -390,10 +390,10 @@ def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) ->
 
 
 def _box_check(evidence: Evidence) -> Parameter:
-    found, instances = evidence.true_detections, evidence.instances
-    single = np.flatnonzero(found.kind == TRUE)
-    rows = found.instance[single]
-    moved = move(instances.boxes_px[rows], found.errors_px[single])
-    off = np.abs(found.boxes_px[single] - clip(moved, instances.image_px[rows]))
+    hits, instances = evidence.true_detections, evidence.instances
+    single = np.flatnonzero(hits.kind == TRUE)
+    rows = hits.instance[single]
+    moved = move(instances.boxes_px[rows], hits.errors_px[single])
+    off = np.abs(hits.boxes_px[single] - clip(moved, instances.image_px[rows]))
     wrong = Exact(int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum()), len(single))
     return Parameter("boxes are truth and error, clipped", DetectorPart.BOX_ERROR, wrong, in_file=False)

@@ -83,7 +83,7 @@ def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: A
     rng = np.random.default_rng(len(series))
     draws = (_scores(series, times_s, score, rng, _AT_A_TIME) for _ in range(_REPLAYS // _AT_A_TIME))
     replayed = np.concatenate([_products(scores < chance, chance, pairs) for scores in draws])
-    found = _products((missed[order] > 0)[None], chance, pairs)[0]
+    products = _products((missed[order] > 0)[None], chance, pairs)[0]
     parameters = []
     for k, (lag, near) in enumerate(zip(LAGS, pairs, strict=True)):
         later, measure = near + lag, None
@@ -93,7 +93,7 @@ def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: A
             strays, error = replayed[:, k] - replayed[:, k].mean(), float(replayed[:, k].std(ddof=1))
             skewness = float((strays**3).mean()) / error**3 if error > 0 else 0.0
             if error > 0:
-                numbers = found[k] / whole, expected / whole, error / whole
+                numbers = products[k] / whole, expected / whole, error / whole
                 measure = Estimate(*numbers, len(near), skewness, possible=CORRELATION)
         name = f"persistence.score: correlation of misses, {lag} {'frame' if lag == 1 else 'frames'} apart"
         parameters.append(Parameter(name, DetectorPart.CLASS, measure, in_file=False))
@@ -145,9 +145,9 @@ def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
         return instances.before
     turn, ran = np.empty(len(instances.frame), dtype=np.int64), np.empty(len(instances.frame), dtype=bool)
     for camera, seen in enumerate(evidence.cameras):
-        ours = np.flatnonzero(instances.camera == camera)
+        own_rows = np.flatnonzero(instances.camera == camera)
         due = model.gates.due(seen.frames)
-        turn[ours], ran[ours] = np.cumsum(due)[instances.frame[ours]], due[instances.frame[ours]]
+        turn[own_rows], ran[own_rows] = np.cumsum(due)[instances.frame[own_rows]], due[instances.frame[own_rows]]
     rows = np.flatnonzero(ran)
     tracks, _ = instances.tracks(rows)
     order = np.lexsort((turn[rows], *tracks.T[::-1]))
@@ -266,15 +266,15 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         parameters.append(Parameter("gates: nothing seen beyond them", DetectorPart.CLASS, measure, in_file=False))
     for s, state in enumerate(model.states):
         for column, label in enumerate(model.labels):
-            ours = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.tested
+            members = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.tested
             names = [*model.labels, BACKGROUND]
             # Misses first: where only one label can be given, both entries say the same.
             for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
                 value = float(state.confusion[row, column])
-                entry = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
+                entry = None if note else _entry(model, evidence, expected, np.flatnonzero(members), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
-                said = note or (_BY_LOOKS if entry is not None and model.dropout.every_effect else "")
-                parameters.append(Parameter(name, DetectorPart.CLASS, entry, value, state=state.name, note=said))
+                remark = note or (_BY_LOOKS if entry is not None and model.dropout.every_effect else "")
+                parameters.append(Parameter(name, DetectorPart.CLASS, entry, value, state=state.name, note=remark))
     return [*parameters, *_overall_checks(model, evidence, expected, note)]
 
 
@@ -350,8 +350,8 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
         return [*parameters, *([] if note else memory_checks(*tracks, score, chance, missed.astype(np.float64)))]
     shared = bool(model.persistence.class_vessel_share)
     persistence = None if note or shared else _persistence(model, evidence, expected)
-    said = _SHARED_NOTE if shared else correlation_note(persistence)
-    return [*parameters, Parameter("persistence.class_s", DetectorPart.CLASS, persistence, note=said)]
+    remark = _SHARED_NOTE if shared else correlation_note(persistence)
+    return [*parameters, Parameter("persistence.class_s", DetectorPart.CLASS, persistence, note=remark)]
 
 
 def correlation_note(measure: Estimate | None) -> str:
@@ -402,11 +402,11 @@ def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, misse
         check = EFFECT_CHECKS.get(model_name(EFFECTS, effect))
         if check is None:
             continue
-        there = passed & np.isin(evidence.instances.state, states)
+        subset = passed & np.isin(evidence.instances.state, states)
         key = f"{'' if whose is None else f'states.{whose}.'}dropout.{effect.attribute}"
         values = np.concatenate([ATTRIBUTES[effect.attribute](seen.targets) for seen in evidence.cameras])
         for name, asked, column in check(effect, values):
-            measure = _effect(model, evidence, there, missed, column, asked)
+            measure = _effect(model, evidence, subset, missed, column, asked)
             parameters.append(Parameter(f"{key}.{name}", DetectorPart.CLASS, measure, asked, state=whose))
     return parameters
 
@@ -430,8 +430,8 @@ def _slope_columns(effect: Slope, values: Array) -> list[Column]:
 
 
 def _table_columns(effect: FactorTable, values: Array) -> list[Column]:
-    known, place = ~np.isnan(values), np.searchsorted(effect.edges, values, side="right")
-    return [(f"odds[{k}]", odds, np.where(known & (place == k), 1 / odds, 0.0)) for k, odds in enumerate(effect.odds)]
+    finite, place = ~np.isnan(values), np.searchsorted(effect.edges, values, side="right")
+    return [(f"odds[{k}]", odds, np.where(finite & (place == k), 1 / odds, 0.0)) for k, odds in enumerate(effect.odds)]
 
 
 EFFECT_CHECKS: Mapping[str, Callable[..., list[Column]]] = {"logistic": _slope_columns, "table": _table_columns}

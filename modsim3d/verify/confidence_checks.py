@@ -75,8 +75,8 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
     low, high = (np.full(len(true.confidence), np.nan) for _ in range(2))
     for s, state in enumerate(model.states):
         rows, law = np.flatnonzero(evidence.instances.state[true.instance] == s), state.confidence
-        found, _ = scored(evidence, s, law)
-        levels = levels_of(law, law.true, found)
+        hits, _ = scored(evidence, s, law)
+        levels = levels_of(law, law.true, hits)
         if levels is None:
             continue
         below, above = levels
@@ -84,12 +84,12 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
         wide = above - below > _STEP
         low[rows] = np.where(wide, special.ndtri(below), middle)
         high[rows] = np.where(wide, special.ndtri(above), middle)
-        clipped = (found.scores <= model.confidence_threshold) | (found.scores >= 1)
+        clipped = (hits.scores <= model.confidence_threshold) | (hits.scores >= 1)
         if len(rows) and clipped.mean() < _HARDLY_ANY:  # a wrong mean or spread would look like a correlation
             own = middle[~clipped]
             low[rows], high[rows] = ((part[rows] - own.mean()) / max(own.std(), _STEP) for part in (low, high))
-        low[rows[found.scores <= model.confidence_threshold]] = -np.inf
-        high[rows[found.scores >= 1]] = np.inf
+        low[rows[hits.scores <= model.confidence_threshold]] = -np.inf
+        high[rows[hits.scores >= 1]] = np.inf
     return low, high
 
 
@@ -142,14 +142,14 @@ class TobitModel:
         third = third * inflation**2
         z = step / errors
         asked = np.concatenate([coefficients[:1], [std], coefficients[1:]])
-        found = asked + step
+        values = asked + step
         if np.abs(z).max() > _FAR:
-            found = self._fitted(asked)
+            values = self._fitted(asked)
         estimates: list[Estimate | None] = []
         for k, wider in enumerate(inflation.tolist()):
             count = len(self.scores) if self.kept is None else len(self.scores) / wider
             skewness, possible = third[k] / errors[k] ** 3, AMOUNT if k == 1 else ANY
-            estimate = Estimate(found[k], asked[k], errors[k], count, skewness, z[k], k == 1, possible)
+            estimate = Estimate(values[k], asked[k], errors[k], count, skewness, z[k], k == 1, possible)
             estimates.append(estimate if self.kept is None or count >= MIN_DETECTIONS else None)
         return estimates
 
@@ -189,8 +189,8 @@ class TobitModel:
         # From a few rows, spread evenly, that stand for all.
         rows = np.linspace(0, len(means) - 1, min(len(means), 64)).astype(np.int64)
         third = np.zeros(len(total))
-        for row, chances, each in zip(rows, *self._laws(means[rows], std), strict=True):
-            third += chances @ ((design[row] * np.where(of_std, each[:, 1:], each[:, :1])) @ covariance) ** 3
+        for row, chances, scores in zip(rows, *self._laws(means[rows], std), strict=True):
+            third += chances @ ((design[row] * np.where(of_std, scores[:, 1:], scores[:, :1])) @ covariance) ** 3
         return covariance @ total, covariance, third * len(means) / len(rows)
 
     def _information(self, means: Array, std: float) -> Array:
@@ -233,11 +233,11 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         groups = [(".true", law.true, true), (".false", law.false, false)]
         if law.true is law.false:
             groups = [("", law.true, ScoredDetections.join([true, false]))]
-        for name, scores, found in groups:
+        for name, scores, boxes in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [
                 Parameter(f"{path}.{entry}", DetectorPart.CONFIDENCE, measure, asked, state=state.name).unless(note)
-                for entry, asked, measure in _measures(law, scores, found, threshold, model.persistence)
+                for entry, asked, measure in _measures(law, scores, boxes, threshold, model.persistence)
             ]
     if model.persistence.score is None:
         persistence = None if note else score_persistence(model, evidence)
@@ -255,17 +255,17 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDete
     true, false, instances = evidence.true_detections, evidence.false_positives, evidence.instances
     seen = np.append(instances.visible_fraction, np.nan)  # the last for instance −1: no vessel
 
-    def of_rows(found: TrueDetections | FalsePositiveRows, ours: Mask) -> ScoredDetections:
-        visible = seen[found.instance[ours]]
-        width, height = sizes(found.boxes_px[ours]).T
+    def of_rows(detections: TrueDetections | FalsePositiveRows, mask: Mask) -> ScoredDetections:
+        visible = seen[detections.instance[mask]]
+        width, height = sizes(detections.boxes_px[mask]).T
         smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
-        if isinstance(found, TrueDetections):
-            tracks, times_s = instances.tracks(found.instance[ours])
+        if isinstance(detections, TrueDetections):
+            tracks, times_s = instances.tracks(detections.instance[mask])
         else:
-            tracks, times_s = np.full((int(ours.sum()), 2), -1), evidence.frames.time_s[found.frame_row[ours]]
+            tracks, times_s = np.full((int(mask.sum()), 2), -1), evidence.frames.time_s[detections.frame_row[mask]]
             tracks[:, 1] = np.arange(len(tracks))
         hidden = np.where(np.isnan(visible), 0, 1 - visible)
-        return ScoredDetections(found.confidence[ours], hidden, -np.log2(smaller), tracks, times_s)
+        return ScoredDetections(detections.confidence[mask], hidden, -np.log2(smaller), tracks, times_s)
 
     return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
 
@@ -282,38 +282,38 @@ Number = tuple[str, float, Measure | None]  # name, asked value and measure of o
 
 
 def _measures(
-    law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections, threshold: float, persistence: Persistence
+    law: StateConfidence, scores: ConfidenceLaw, boxes: ScoredDetections, threshold: float, persistence: Persistence
 ) -> list[Number]:
-    own = ("visibility_slope", law.visibility_slope, -found.hidden), ("size_slope", law.size_slope, -found.halvings)
+    own = ("visibility_slope", law.visibility_slope, -boxes.hidden), ("size_slope", law.size_slope, -boxes.halvings)
     check = SCORE_CHECKS.get(model_name(confidence.SCORES, scores))
     persists = persistence.confidence_s > 0 or persistence.score is not None
-    kept = KeptScores(found.tracks, found.times_s, persistence.confidence_s, persistence.score) if persists else None
-    return [] if check is None else check(scores, [slope for slope in own if slope[1]], found, threshold, kept)
+    kept = KeptScores(boxes.tracks, boxes.times_s, persistence.confidence_s, persistence.score) if persists else None
+    return [] if check is None else check(scores, [slope for slope in own if slope[1]], boxes, threshold, kept)
 
 
 def _quantiles(
-    scores: QuantileScores, slopes: list[Slope], found: ScoredDetections, threshold: float, kept: KeptScores | None
+    scores: QuantileScores, slopes: list[Slope], boxes: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
-    independent = len(found.scores) / (1.0 if kept is None else kept.of_shares)
+    independent = len(boxes.scores) / (1.0 if kept is None else kept.of_shares)
     if slopes or independent < MIN_DETECTIONS:
         return [("law", 0.0, None)]
-    law = Law.of(found.scores, scores.quantiles.clip(threshold, 1))
+    law = Law.of(boxes.scores, scores.quantiles.clip(threshold, 1))
     return [("law", 0.0, law if kept is None else replace(law, count=independent))]
 
 
 def _normal(
-    scores: NormalScores, slopes: list[Slope], found: ScoredDetections, threshold: float, kept: KeptScores | None
+    scores: NormalScores, slopes: list[Slope], boxes: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
-    count, own = len(found.scores), [slope for _, slope, _ in slopes]
+    count, own = len(boxes.scores), [slope for _, slope, _ in slopes]
     names = ["mean", "std", *(name for name, _, _ in slopes)]
     measures: Sequence[Measure | None] = [None] * len(names)
     if scores.std == 0 and count >= MIN_DETECTIONS:
         shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(count))
-        wrong = int((np.abs(found.scores - np.clip(scores.mean + shift, threshold, 1)) > 1e-12).sum())
+        wrong = int((np.abs(boxes.scores - np.clip(scores.mean + shift, threshold, 1)) > 1e-12).sum())
         return [("std", 0.0, Exact(wrong, count))]
     if count >= MIN_DETECTIONS:
         design = np.column_stack([np.ones(count), *(amount for _, _, amount in slopes)])
-        measures = TobitModel(found.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
+        measures = TobitModel(boxes.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
     return list(zip(names, [scores.mean, scores.std, *own], measures, strict=True))
 
 

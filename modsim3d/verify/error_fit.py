@@ -60,14 +60,14 @@ class MomentTable:
             size, m = len(boxes_px), law.statistics(np.zeros(4)).size
             empty = np.empty((size, m)), np.empty((size, m, m)), np.empty(size)
             self._known[key] = (np.zeros(size, dtype=bool), *empty)
-        known, first, second, acceptance = self._known[key]
-        missing = np.unique(rows[~known[rows]])
+        filled, first, second, acceptance = self._known[key]
+        missing = np.unique(rows[~filled[rows]])
         for part, values in _points(law, boxes_px[missing], images_px[missing]):
             into = missing[part.rows]
             first[into] = part.mean(values)
             second[into] = np.swapaxes(values, 1, 2) @ (values * part.weights[..., None])
             acceptance[into] = part.acceptance
-        known[missing] = True
+        filled[missing] = True
         return first[rows], second[rows], acceptance[rows]
 
 
@@ -115,8 +115,8 @@ def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> F
     if np.all(gains == 1):
         information = weights @ covariances.sum(axis=0) @ weights.T
     else:
-        each = np.einsum("pi,nij,qj->npq", weights, covariances, weights, optimize=True)
-        information = np.einsum("npq,np,nq->pq", each, gains, gains, optimize=True)
+        matrices = np.einsum("pi,nij,qj->npq", weights, covariances, weights, optimize=True)
+        information = np.einsum("npq,np,nq->pq", matrices, gains, gains, optimize=True)
     if not np.all(np.isfinite(information)) or np.linalg.cond(information) > _SINGULAR:
         return None
     covariance = np.linalg.inv(information)
@@ -269,12 +269,12 @@ def false_positive_residuals(model: DetectorModel, evidence: Evidence) -> Residu
     rows = np.flatnonzero(expected.transient > 0)
     mean, dispersion = expected.transient[rows], expected.dispersion[rows]
     poisson = (dispersion == 1) & (mean < _MANY)
-    found, cap = n_transient(evidence)[rows], np.full(len(rows), _NO_CAP)
+    counts, cap = n_transient(evidence)[rows], np.full(len(rows), _NO_CAP)
     cap[poisson] = np.maximum(poisson_quantile(np.full(int(poisson.sum()), _CAP), mean[poisson]), 1)
     variance = mean * dispersion
     third = variance * (2 * dispersion - 1)
     mean[poisson], variance[poisson], third[poisson] = capped_poisson(mean[poisson], cap[poisson])
-    values = _centred(np.minimum(found, cap) - mean, variance, images.state[rows])
+    values = _centred(np.minimum(counts, cap) - mean, variance, images.state[rows])
     vessel = np.zeros(len(rows), dtype=np.int64)
     return Residuals(Draw.FALSE_POSITIVES, rows, vessel, values[:, None], variance, third[:, None])
 
@@ -308,10 +308,10 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
         row = false.frame_row[false.state == s]
         vessels = evidence.images_of(instance), evidence.instances.vessel[instance]
         places = vessels, (row, np.full(len(row), NO_VESSEL))
-        for scores, found, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
-            levels = levels_of(law, scores, found)
+        for scores, boxes, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
+            levels = levels_of(law, scores, boxes)
             if levels is not None:
-                level = drawn_levels(levels, found.scores, model.confidence_threshold, rng)
+                level = drawn_levels(levels, boxes.scores, model.confidence_threshold, rng)
                 parts.append((*place, special.ndtri(np.clip(level, _MIN_LEVEL, 1 - _MIN_LEVEL))))
     if not parts:
         return none_of(Draw.CONFIDENCE, "")

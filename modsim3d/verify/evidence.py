@@ -140,31 +140,31 @@ def _joined(parts: Sequence[Columns], **offsets: Indices) -> Columns:
 
 def _frames(index: int, seen: CameraEvidence) -> Columns:
     """Columns of `FrameTable` of a camera."""
-    found, length = seen.detections, len(seen.frames)
-    false = found.false()
+    detections, length = seen.detections, len(seen.frames)
+    false = detections.false()
     return {
         "camera": np.full(length, index),
         "time_s": seen.frames.times_s,
         "step": seen.frames.steps,
-        "state": found.states,
-        "n_kept": np.bincount(found.frame[~false], minlength=length),
-        "n_false": np.bincount(found.frame[false], minlength=length),
+        "state": detections.states,
+        "n_kept": np.bincount(detections.frame[~false], minlength=length),
+        "n_false": np.bincount(detections.frame[false], minlength=length),
     }
 
 
 def _instances(index: int, seen: CameraEvidence) -> Columns:
     """Columns of `Instances` of a camera."""
-    frames, targets, found = seen.frames, seen.targets, seen.detections
-    true, before = ~found.false(), row_before(targets.vessel)  # rows are in order of frame
+    frames, targets, detections = seen.frames, seen.targets, seen.detections
+    true, before = ~detections.false(), row_before(targets.vessel)  # rows are in order of frame
     outcome = np.full(len(targets), -1)
-    outcome[found.partner[found.partner >= 0]] = MERGED
-    outcome[found.target[true]] = found.label[true]
+    outcome[detections.partner[detections.partner >= 0]] = MERGED
+    outcome[detections.target[true]] = detections.label[true]
     return {
         "camera": np.full(len(targets), index),
         "time_s": frames.times_s[targets.frame],
         "frame": targets.frame,
         "vessel": targets.vessel,
-        "state": found.states[targets.frame],
+        "state": detections.states[targets.frame],
         "label": targets.label,
         "outcome": outcome,
         "before": np.where(targets.frame == targets.frame[before] + 1, before, -1),
@@ -174,19 +174,19 @@ def _instances(index: int, seen: CameraEvidence) -> Columns:
     }
 
 
-def _true(found: Detections) -> Columns:
+def _true(detections: Detections) -> Columns:
     """Columns of `TrueDetections` of a camera."""
-    true = ~found.false()
-    columns = {name: getattr(found, name)[true] for name in ("kind", "errors_px", "confidence", "boxes_px")}
-    return {"instance": found.target[true], **columns}
+    true = ~detections.false()
+    columns = {name: getattr(detections, name)[true] for name in ("kind", "errors_px", "confidence", "boxes_px")}
+    return {"instance": detections.target[true], **columns}
 
 
-def _false(found: Detections) -> Columns:
+def _false(detections: Detections) -> Columns:
     """Columns of `FalsePositiveRows` of a camera."""
-    false = found.false()
-    frame = found.frame[false]
-    columns = {name: getattr(found, name)[false] for name in ("label", "confidence", "kind", "boxes_px")}
-    return {"frame_row": frame, "instance": found.target[false], "state": found.states[frame], **columns}
+    false = detections.false()
+    frame = detections.frame[false]
+    columns = {name: getattr(detections, name)[false] for name in ("label", "confidence", "kind", "boxes_px")}
+    return {"frame_row": frame, "instance": detections.target[false], "state": detections.states[frame], **columns}
 
 
 def unknown_rest_note(model: DetectorModel, evidence: Evidence) -> str:

@@ -49,15 +49,15 @@ def placement_checks(model: DetectorModel, evidence: Evidence, persistent: Array
 def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     """Distance of each column of `_places_and_sizes` from many draws in the same frames (Smirnov (1939))."""
     source, rng = false_positive_source(model, evidence.target_statistics(model)), np.random.default_rng(0)
-    found, drawn = [], []
+    places, drawn = [], []
     for seen in evidence.cameras:
         rows = np.flatnonzero(seen.detections.kind == records.FALSE_POSITIVE)
         frame = seen.detections.frame[rows]
-        found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
+        places.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
         again = np.repeat(frame, _DRAWS_EACH)
         boxes = source.boxes_px(seen.frames, _detected_vessels(seen), again, rng.random((len(again), DRAWS + 1)))
         drawn.append(_places_and_sizes(seen.frames, again, boxes))
-    values, expected = np.concatenate(found), np.concatenate(drawn)
+    values, expected = np.concatenate(places), np.concatenate(drawn)
     if len(values) < MIN_FALSE:
         return [None] * 4
     worth = len(values) * _DRAWS_EACH // (_DRAWS_EACH + 1)  # the draws too are a sample
@@ -66,13 +66,13 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
 
 def _detected_vessels(seen: CameraEvidence) -> records.Targets:
     """The detected vessels as the detector had them, with merged ones in one box."""
-    found = seen.detections
-    true = np.flatnonzero(~found.false())
-    true = true[np.argsort(found.frame[true], kind="stable")]
-    kept = select(seen.targets, found.target[true])
-    merged = np.flatnonzero(found.partner[true] >= 0)
+    detections = seen.detections
+    true = np.flatnonzero(~detections.false())
+    true = true[np.argsort(detections.frame[true], kind="stable")]
+    kept = select(seen.targets, detections.target[true])
+    merged = np.flatnonzero(detections.partner[true] >= 0)
     boxes = kept.boxes_px.copy()
-    boxes[merged] = unions(boxes[merged], seen.targets.boxes_px[found.partner[true[merged]]])
+    boxes[merged] = unions(boxes[merged], seen.targets.boxes_px[detections.partner[true[merged]]])
     return replace(kept, boxes_px=boxes)
 
 
@@ -87,9 +87,9 @@ def _places_and_sizes(frames: records.CameraFrames, frame: Indices, boxes_px: Ar
     return np.round(np.column_stack([below, along, sizes(boxes_px)]), _DIGITS)
 
 
-def _distance(found: Array, expected: Array) -> float:
-    places = np.concatenate([found, expected])
-    shares = [np.searchsorted(np.sort(each), places, side="right") / len(each) for each in (found, expected)]
+def _distance(values: Array, expected: Array) -> float:
+    places = np.concatenate([values, expected])
+    shares = [np.searchsorted(np.sort(sample), places, side="right") / len(sample) for sample in (values, expected)]
     return float(np.abs(shares[0] - shares[1]).max())
 
 
@@ -227,16 +227,16 @@ class DiscoveryRateCheck:
         return asked / (asked + float(kept.sum())) if kept.sum() else None
 
     @staticmethod
-    def _measure(seen: FalsePositiveEvidence, ours: Mask) -> DiscoveryRate | None:
+    def _measure(seen: FalsePositiveEvidence, mask: Mask) -> DiscoveryRate | None:
         images, expected = seen.evidence.frames, seen.expected
-        true = float(images.n_kept[ours].sum())
+        true = float(images.n_kept[mask].sum())
         if not true:
             return None
-        mean = float(expected.all[ours].sum())
-        variance = float((expected.transient * expected.dispersion + expected.extra_variance)[ours].sum())
-        variance += seen.persistent_variance(ours)
+        mean = float(expected.all[mask].sum())
+        variance = float((expected.transient * expected.dispersion + expected.extra_variance)[mask].sum())
+        variance += seen.persistent_variance(mask)
         inflation = variance / mean if mean > 0 else 1.0
-        return DiscoveryRate(float(images.n_false[ours].sum()), true, mean, inflation or 1.0)
+        return DiscoveryRate(float(images.n_false[mask].sum()), true, mean, inflation or 1.0)
 
 
 class ImageRateCheck:
@@ -254,14 +254,14 @@ class ImageRateCheck:
 
     @staticmethod
     def _measure(seen: FalsePositiveEvidence, s: int) -> ImageRate | None:
-        ours, expected, false = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_positives
-        found = int(np.isin(false.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[false.state == s].sum())
-        images = float(expected.due[ours].sum())
+        mask, expected, false = seen.evidence.frames.state == s, seen.expected, seen.evidence.false_positives
+        count = int(np.isin(false.kind, (records.FALSE_POSITIVE, records.PERSISTENT))[false.state == s].sum())
+        images = float(expected.due[mask].sum())
         if not images:
             return None
-        mean = float((expected.transient + expected.persistent)[ours].sum())
-        variance = float((expected.transient * expected.dispersion)[ours].sum()) + seen.persistent_variance(ours)
-        return ImageRate(found, images, mean / images, variance / mean if mean else 1.0)
+        mean = float((expected.transient + expected.persistent)[mask].sum())
+        variance = float((expected.transient * expected.dispersion)[mask].sum()) + seen.persistent_variance(mask)
+        return ImageRate(count, images, mean / images, variance / mean if mean else 1.0)
 
 
 RATE_CHECKS: Mapping[str, RateCheck] = {
@@ -325,13 +325,13 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     state, false = model.states[s], evidence.false_positives
     if len(model.labels) < 2:
         return []
-    found = false.label[(false.state == s) & (false.kind == records.FALSE_POSITIVE)]
+    labels = false.label[(false.state == s) & (false.kind == records.FALSE_POSITIVE)]
     note = "of those that do not persist" if model.false_positives.persistent_share else ""
     return [
         Parameter(
             f"states.{state.name}.false_positive_labels[{label}]",
             DetectorPart.FALSE_POSITIVES,
-            Rate(int((found == i).sum()), len(found), float(state.false_positive_labels[i])) if len(found) else None,
+            Rate(int((labels == i).sum()), len(labels), float(state.false_positive_labels[i])) if len(labels) else None,
             float(state.false_positive_labels[i]),
             state=state.name,
             note=note,
@@ -412,8 +412,8 @@ def _places_on(law: VesselFalseBoxes, instances: Instances, rows: Indices, rng: 
     """Places of false positives that are drawn on vessels, as the image shows them, shape (at most m, 4)."""
     uniforms = rng.random((len(rows), 5))
     uniforms[:, 0] = 0.0  # on each of them
-    boxes, there = law.boxes_px(instances.boxes_px[rows], instances.image_px[rows], uniforms)
-    return _place_on(instances.boxes_px[rows[there]], boxes[there])
+    boxes, visible = law.boxes_px(instances.boxes_px[rows], instances.image_px[rows], uniforms)
+    return _place_on(instances.boxes_px[rows[visible]], boxes[visible])
 
 
 def _rate(happened: Mask, asked: float, inflation: float = 1.0, inside: float = 1.0) -> Rate | None:

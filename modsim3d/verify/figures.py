@@ -38,9 +38,9 @@ def asked_run_lengths(model: DetectorModel, evidence: Evidence, miss_probability
         again = missed_again(model, evidence, miss_probability)
         return expected_run_lengths(miss_probability, again, before, most)
     expected = np.zeros(most)
-    for weight, (found,) in at_each(share, 1 - miss_probability):
-        again = missed_again(model, evidence, 1 - found)
-        expected += weight * expected_run_lengths(1 - found, again, before, most)
+    for weight, (chance,) in at_each(share, 1 - miss_probability):
+        again = missed_again(model, evidence, 1 - chance)
+        expected += weight * expected_run_lengths(1 - chance, again, before, most)
     return expected
 
 
@@ -96,8 +96,8 @@ def timelines(model: DetectorModel, evidence: Evidence) -> list[Figure]:
 
 def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
     images = evidence.frames
-    ours = images.camera == camera
-    times, states = images.time_s[ours], images.state[ours]
+    mask = images.camera == camera
+    times, states = images.time_s[mask], images.state[mask]
     changes = run_starts(states)
     stops = np.append(times[changes[1:]], times[-1])
     return charts.timeline(times[changes], stops, states[changes].tolist(), [state.name for state in model.states])
@@ -105,7 +105,7 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
 
 def error_scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[Figure]:
     """A figure of the box errors of each state, with the laws asked for and measured."""
-    found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
+    tests = {verdict.parameter.name: verdict for verdict in verification.verdicts}
     state_of_hits = evidence.instances.state[evidence.true_detections.instance]
     scale, figures = BoxErrorSource.from_model(model), []
     for index, state in enumerate(model.states):
@@ -114,7 +114,7 @@ def error_scatters(verification: Verification, model: DetectorModel, evidence: E
             continue
         boxes = evidence.instances.boxes_px[evidence.true_detections.instance[rows]]
         errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.true_detections.errors_px[rows])
-        laws = [_law(found, f"states.{state.name}.box_error", measured) for measured in (False, True)]
+        laws = [_law(tests, f"states.{state.name}.box_error", measured) for measured in (False, True)]
         unit = "sides" if state.box_error.relative else "px"
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "
@@ -127,10 +127,10 @@ def error_scatters(verification: Verification, model: DetectorModel, evidence: E
 Law = tuple[Array, Array] | None
 
 
-def _law(found: dict[str, TestResult], path: str, measured: bool) -> Law:
+def _law(tests: dict[str, TestResult], path: str, measured: bool) -> Law:
     """Mean and covariance of a state's box errors, asked or measured; None where they were not tested."""
     names = [f"{path}.{name}" for name in parameter_names()]
-    values = [(found[name].measured if measured else found[name].asked) if name in found else None for name in names]
+    values = [(tests[name].measured if measured else tests[name].asked) if name in tests else None for name in names]
     numbers = np.array([np.nan if value is None else value for value in values])
     if np.isnan(numbers).any():
         return None
@@ -167,11 +167,11 @@ def _range(values: Array) -> tuple[float, float]:
 
 def miss_lengths(model: DetectorModel, evidence: Evidence) -> str:
     """Numbers of frames in a row in which vessels are missed, and what is expected."""
-    found = run_lengths(evidence)
-    most = max(len(found) - 1, 4)
+    runs = run_lengths(evidence)
+    most = max(len(runs) - 1, 4)
     expected = asked_run_lengths(model, evidence, miss_probabilities(model, evidence), most)
     counts = np.zeros(most)
-    counts[: len(found) - 1] = found[1:]
+    counts[: len(runs) - 1] = runs[1:]
     lengths = np.arange(1.0, most + 1)
     axes = charts.Axes((0.4, most + 0.6), (0, 1.1 * float(max(counts.max(), expected.max(), 1))))
     content = charts.bars(axes, lengths, counts, 0.7, charts.FOUND)

@@ -93,12 +93,12 @@ def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[
     note = unknown_rest_note(model, evidence)
     if model.false_positives.model not in RATE_CHECKS or model.false_positives.persistent_share == 1:
         return []
-    expected, found = expected_false_positives(model, evidence), n_transient(evidence)
+    expected, counts = expected_false_positives(model, evidence), n_transient(evidence)
     windows = {
-        "variance over mean in images": np.arange(len(found)),
+        "variance over mean in images": np.arange(len(counts)),
         "variance over mean in stretches": stretches(evidence.frames.camera, expected.transient),
     }
-    measures = {name: _spread(expected, evidence.frames.state, found, window) for name, window in windows.items()}
+    measures = {name: _spread(expected, evidence.frames.state, counts, window) for name, window in windows.items()}
     return [
         Parameter(f"{Draw.FALSE_POSITIVES}: {name}", group, measure, in_file=False).unless(note)
         for name, measure in measures.items()
@@ -117,7 +117,7 @@ def stretches(camera: Indices, mean: Array) -> Indices:
     return numbers
 
 
-def _spread(expected: ExpectedFalsePositives, state: Indices, found: Indices, window: Indices) -> Estimate | None:
+def _spread(expected: ExpectedFalsePositives, state: Indices, counts: Indices, window: Indices) -> Estimate | None:
     """The variance of the number of a window over its mean. With the number n of an image, its mean m and its variance
     v, (n − m)² − (2v/m − 1)·(n − m) − v has mean zero, does not depend on the rate to first order, and has the variance
     2v² of a Poisson number and 2v²·(1 − (1 − v/m)/m) of a binomial one. Pairs of images of one window add twice the
@@ -125,9 +125,9 @@ def _spread(expected: ExpectedFalsePositives, state: Indices, found: Indices, wi
     some = np.flatnonzero(expected.transient > 0)
     state, window, dispersion = state[some], window[some], expected.dispersion[some]
     # With each state's own rate: a wrong one must not look like clumps.
-    ratio = np.bincount(state, found[some]) / np.maximum(np.bincount(state, expected.transient[some]), 1e-300)
+    ratio = np.bincount(state, counts[some]) / np.maximum(np.bincount(state, expected.transient[some]), 1e-300)
     mean = expected.transient[some] * np.where(ratio > 0, ratio, 1)[state]
-    rest = found[some] - mean
+    rest = counts[some] - mean
     variance = mean * dispersion
     of_windows = np.bincount(window, variance)
     alone = rest**2 - (2 * dispersion - 1) * rest - variance
@@ -277,19 +277,19 @@ def _checks_of(residuals: Residuals, evidence: Evidence) -> Mapping[str, Check]:
 
 def _earlier_times(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
     """The strongest correlation of a vessel in a camera with its own past, over all lags beyond its memory."""
-    ours, images = residuals.of_vessels(), evidence.frames
-    series = images.camera[ours.image] * (int(ours.vessel.max(initial=0)) + 1) + ours.vessel
-    sums = lag_sums(ours.values, ours.variance, ours.third, series, images.step[ours.image])
+    subset, images = residuals.of_vessels(), evidence.frames
+    series = images.camera[subset.image] * (int(subset.vessel.max(initial=0)) + 1) + subset.vessel
+    sums = lag_sums(subset.values, subset.variance, subset.third, series, images.step[subset.image])
     inflation = memory.inflation(2)
     lags = np.arange(len(sums.product))
     tested = np.flatnonzero((lags >= memory.first_lag) & (sums.pairs >= MIN_PAIRS * inflation))
-    if not len(tested) or not _worth(ours, memory, 2):
+    if not len(tested) or not _worth(subset, memory, 2):
         return None, ""
     z = sums.product[tested] / np.sqrt(sums.variance[tested] * inflation)
     likely = tested[np.argsort(-np.abs(z), kind="stable")[:_CANDIDATES]]
-    found = [_estimate(sums, int(lag), inflation, len(tested)) for lag in likely]
-    best = min(range(len(found)), key=lambda k: (found[k].p_value(), -abs(found[k].z)))
-    return found[best], f"the strongest of {len(tested)} lags, {int(likely[best])} steps back"
+    estimates = [_estimate(sums, int(lag), inflation, len(tested)) for lag in likely]
+    best = min(range(len(estimates)), key=lambda k: (estimates[k].p_value(), -abs(estimates[k].z)))
+    return estimates[best], f"the strongest of {len(tested)} lags, {int(likely[best])} steps back"
 
 
 def _estimate(sums: PairSums, k: int, inflation: float, trials: int = 1) -> Strongest:
@@ -306,9 +306,9 @@ def _estimate(sums: PairSums, k: int, inflation: float, trials: int = 1) -> Stro
 
 
 def _between_cameras(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
-    ours = residuals.of_vessels()
-    step = evidence.frames.step[ours.image]
-    return _of_groups(ours, step * (int(ours.vessel.max(initial=0)) + 1) + ours.vessel, memory), ""
+    subset = residuals.of_vessels()
+    step = evidence.frames.step[subset.image]
+    return _of_groups(subset, step * (int(subset.vessel.max(initial=0)) + 1) + subset.vessel, memory), ""
 
 
 def _within_images(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:

@@ -78,12 +78,12 @@ def conclusion(verification: Verification) -> str:
         also = f"; {short} obey the thesis's rule and fall short of what is asked for" if short else ""
         return f"The run obeys its detector file: nothing in {tested} tests speaks against it{also}."
     measure = cause.parameter.measure
-    said = f"asked {significant(cause.asked)}, measured {significant(cause.measured or 0.0)}"
+    finding = f"asked {significant(cause.asked)}, measured {significant(cause.measured or 0.0)}"
     if isinstance(measure, Exact):
-        said = "wrong {} times of {}".format(*_counts(measure))
+        finding = "wrong {} times of {}".format(*_counts(measure))
     return (
         f"The run does NOT obey the detector file: {len(verification.failed)} of {tested} tests fail. What stands out "
-        f"is {cause.parameter.name}: {said}."
+        f"is {cause.parameter.name}: {finding}."
     )
 
 
@@ -153,11 +153,11 @@ def write_report(verified: VerifiedRun, folder: StrPath, command: str | None = N
 def document(verified: VerifiedRun) -> Document:
     """The verdicts, to be read."""
     verification, model, evidence = verified.verification, verified.model, verified.evidence
-    found, false = evidence.true_detections, evidence.false_positives
+    hits, false = evidence.true_detections, evidence.false_positives
     tested = [verdict for verdict in verification.verdicts if verdict.measured is not None and not verdict.fails]
     about = (
         f"{verified.run.steps:,} steps, {len(evidence.instances.state):,} chances to detect a vessel, "
-        f"{len(found.instance):,} true detections, {len(false.frame_row):,} false ones. Each interval holds the values "
+        f"{len(hits.instance):,} true detections, {len(false.frame_row):,} false ones. Each interval holds the values "
         f"that its test would not have rejected; the level of all tests together is {in_percent(OVERALL_ALPHA)}. "
         "“Noticed from” is the smallest change of the file that this run would have shown, with 90 % power."
     )
@@ -195,12 +195,12 @@ def _notes(verification: Verification) -> Iterator[Block]:
     names: dict[str, list[str]] = {}
     for name, note in named_notes(verification):
         names.setdefault(note, []).append(name)
-    yield Items([f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1], Where.PAGE | Where.FULL)
-    for note, found in names.items():
-        if len(found) > 1:
+    yield Items([f"{group[0]}: {note}" for note, group in names.items() if len(group) == 1], Where.PAGE | Where.FULL)
+    for note, group in names.items():
+        if len(group) > 1:
             yield Fold(
-                f"{note[0].upper()}{note[1:]}: {len(found)} entries",
-                [Text(", ".join(found))],
+                f"{note[0].upper()}{note[1:]}: {len(group)} entries",
+                [Text(", ".join(group))],
                 where=Where.PAGE | Where.FULL,
             )
 
@@ -224,14 +224,14 @@ def _results(verification: Verification) -> list[tuple[str, str, str]]:
     count = Counter(verdict.verdict for verdict in verification.verdicts)
     unmade = count[UNTESTED] + count[UNCHECKED]
     tested = len(verification.verdicts) - unmade
-    found = [
+    tiles = [
         ("Passed", f"{tested - count[DIFFERS]:,}", f"of {tested:,} tests"),
         ("Failed", f"{count[DIFFERS]:,}", "tests in which the run speaks against its file"),
         ("Not tested", f"{unmade:,}", "too little seen, or a model without a check"),
     ]
     if count[FALLS_SHORT]:
-        found.append(("Fall short", f"{count[FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for"))
-    return found
+        tiles.append(("Fall short", f"{count[FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for"))
+    return tiles
 
 
 def _groups(verification: Verification) -> Iterator[Block]:
@@ -241,13 +241,13 @@ def _groups(verification: Verification) -> Iterator[Block]:
         groups.setdefault(verdict.parameter.group, []).append(verdict)
     for name, verdicts in groups.items():
         count = Counter(verdict.verdict for verdict in verdicts)
-        said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
-        said += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
-        said += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
-        said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
-        said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
+        clauses = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
+        clauses += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
+        clauses += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
+        clauses += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
+        clauses += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
         passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
-        title = f"{name.capitalize()}: {', '.join(said)}{passed}"
+        title = f"{name.capitalize()}: {', '.join(clauses)}{passed}"
         yield Items([title], Where.BRIEF)
         yield Fold(title, [_table(verdicts)], where=Where.PAGE | Where.FULL)
 

@@ -175,7 +175,7 @@ def obstacle_bodies(
         count = len(index)
         positions = np.zeros((steps, count, 3))
         if cameras_m is not None:
-            centres = np.array([obstacles[each].centre_m for each in index.tolist()])
+            centres = np.array([obstacles[number].centre_m for number in index.tolist()])
             positions[..., 2] -= drop_m(centres, cameras_m[:, None])
         bodies.append(
             Bodies(
@@ -207,14 +207,14 @@ def _grouped(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Solid, Indices, Arr
 
 def misfits(vessels: Iterable[Vessel], obstacles: Iterable[Obstacle]) -> list[str]:
     """One sentence for each mesh that does not fit a vessel or an obstacle; it names the first of them."""
-    bodies = [(f"vessel '{each.name}'", f"the mesh {each.shape}", each.solid, each.extents_m) for each in vessels]
-    for each in obstacles:
-        for solid, corners_m in each.solids:  # scaled, and then turned and placed
+    bodies = [(f"vessel '{hull.name}'", f"the mesh {hull.shape}", hull.solid, hull.extents_m) for hull in vessels]
+    for obstacle in obstacles:
+        for solid, corners_m in obstacle.solids:  # scaled, and then turned and placed
             linear = np.linalg.lstsq(np.column_stack([solid.vertices, np.ones(len(corners_m))]), corners_m)[0][:3]
-            bodies.append((f"obstacle '{each.name}'", "the mesh", solid, np.linalg.norm(linear, axis=1)))
-    found: dict[Solid, list[tuple[str, str]]] = {}
+            bodies.append((f"obstacle '{obstacle.name}'", "the mesh", solid, np.linalg.norm(linear, axis=1)))
+    faults: dict[Solid, list[tuple[str, str]]] = {}
     for name, mesh, solid, size_m in bodies:
         if problem := misfit(solid, size_m):
-            found.setdefault(solid, []).append((name, f"{mesh} {problem}"))
-    firsts = ((*named[0], len(named) - 1) for named in found.values())
+            faults.setdefault(solid, []).append((name, f"{mesh} {problem}"))
+    firsts = ((*named[0], len(named) - 1) for named in faults.values())
     return [f"{name}{f' and {more} more' if more else ''}: {problem}" for name, problem, more in firsts]

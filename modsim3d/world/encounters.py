@@ -58,11 +58,11 @@ def _wrapped(angle_rad: float) -> float:
 
 def hull_tracks(vessels: Sequence[Vessel], poses: PoseSource, steps: int) -> HullTracks:
     """The hulls of vessels at all steps."""
-    found = poses.poses(0, steps)
+    places = poses.poses(0, steps)
     return HullTracks(
         times_s=times_s(poses.timestamps, 0, steps),
-        centres_m=np.where(found.present[..., None], found.positions_m[..., :2], np.nan),
-        headings_rad=np.where(found.present, found.headings_rad, np.nan),
+        centres_m=np.where(places.present[..., None], places.positions_m[..., :2], np.nan),
+        headings_rad=np.where(places.present, places.headings_rad, np.nan),
         half_sizes_m=np.array([(vessel.length_m / 2, vessel.beam_m / 2) for vessel in vessels]).reshape(-1, 2),
     )
 

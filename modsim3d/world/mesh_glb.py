@@ -365,12 +365,12 @@ def _data(glb: Glb, number: int) -> bytes:
     uri = glb.description.buffers[number].uri
     if uri is None:
         return glb.binary
-    _, found, text = uri.partition("base64,")
+    _, marker, text = uri.partition("base64,")
     try:
         content = base64.b64decode(text)
     except ValueError:
         content = b""
-    if not (found and content):
+    if not (marker and content):
         raise Refusal(f"has data in buffer {number} that is not base64: is it damaged?")
     return content
 

@@ -62,12 +62,12 @@ def _scan(file: BinaryIO, size: int, word: bytes) -> int:
     if size > MAX_SCANNED_BYTES:
         check_size(size)
     file.seek(0)
-    found, tail = 0, b""
+    count, tail = 0, b""
     while chunk := file.read(CHUNK_BYTES):
         joined = tail + chunk.lower()
-        found += joined.count(word)
+        count += joined.count(word)
         tail = joined[-(len(word) - 1) :]  # shorter than the word
-    return found
+    return count
 
 
 def _whole(file: BinaryIO, size: int) -> bytes:

@@ -126,9 +126,9 @@ def find_level(name: str) -> tuple[Axes, Plugin | None]:
     or the plug-in is no three axes."""
     if name in LEVELS:
         return level_axes(name), None
-    found, plugin = load_plugin(WAVE_LEVELS, name, "waves.level", LEVELS)
-    if isinstance(found, tuple | list) and len(found) == len(AXES) and all(isinstance(axis, Axis) for axis in found):
-        roll, pitch, yaw = found
+    axes, plugin = load_plugin(WAVE_LEVELS, name, "waves.level", LEVELS)
+    if isinstance(axes, tuple | list) and len(axes) == len(AXES) and all(isinstance(axis, Axis) for axis in axes):
+        roll, pitch, yaw = axes
         return (roll, pitch, yaw), plugin
-    problem = f"{plugin} must be three modsim3d.plugins.Axis, for {', '.join(AXES)}, not {found!r}"
+    problem = f"{plugin} must be three modsim3d.plugins.Axis, for {', '.join(AXES)}, not {axes!r}"
     raise InputError("waves.level", [problem])

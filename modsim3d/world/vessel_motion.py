@@ -69,14 +69,14 @@ class VesselMotion:
         """Poses at ascending steps (S,); arrays that cannot be written to. Truth, horizon, attitudes and checks ask for
         the same steps one after the other: the latest ones are kept."""
         key = steps.tobytes()
-        found = self._latest.get(key)
-        if found is None:
-            found = self._at(steps)
-            for values in (*vars(found.poses).values(), found.angles_rad, found.world_R_vessel):
+        placement = self._latest.get(key)
+        if placement is None:
+            placement = self._at(steps)
+            for values in (*vars(placement.poses).values(), placement.angles_rad, placement.world_R_vessel):
                 values.setflags(write=False)
             self._latest.clear()
-            self._latest[key] = found
-        return found
+            self._latest[key] = placement
+        return placement
 
     def _at(self, steps: Indices) -> PosesInWaves:
         if self.waves is None:
@@ -92,8 +92,8 @@ class VesselMotion:
         """First step and stop of a range that holds ascending steps (S,) and `margin` neighbours on each side. A
         velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene."""
         first, stop = int(steps[0]), int(steps[-1]) + 1
-        known = len(self.source.timestamps) if isinstance(self.source, LivePoses) else self.steps
-        return max(first - margin, 0), max(min(stop + margin, known), stop)
+        count = len(self.source.timestamps) if isinstance(self.source, LivePoses) else self.steps
+        return max(first - margin, 0), max(min(stop + margin, count), stop)
 
     def _in_waves(self, motion: WaveMotion, steps: Indices) -> tuple[Poses, Array]:
         """Poses with heave, and roll, pitch and yaw, shape (S, V, 3)."""

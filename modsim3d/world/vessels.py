@@ -371,11 +371,11 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
     units of length, beam and air draft; faces are counter-clockwise seen from outside. Errors name the path of the key;
     `built_in` are names that need no plug-in, for the hint at an unknown name. Raises InputError if there is no such
     plug-in, it fails, or it returns something else."""
-    found, plugin = load_plugin(SHAPES, name, path, built_in)
-    if not callable(found):
-        raise InputError(path, [f"{plugin} must be a function that returns vertices and faces, not {found!r}"])
+    function, plugin = load_plugin(SHAPES, name, path, built_in)
+    if not callable(function):
+        raise InputError(path, [f"{plugin} must be a function that returns vertices and faces, not {function!r}"])
     try:
-        vertices, faces = found()
+        vertices, faces = function()
         vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces)
     except Exception as error:
         raise InputError(path, [str(failed(plugin, error))]) from error

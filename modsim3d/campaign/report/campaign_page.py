@@ -50,7 +50,7 @@ MAX_CURVES = 8  # of a chart; the table has all
 
 def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
     """The table and the charts of a campaign with a lookout requirement."""
-    asked = {each.known_at_m for each in plan.keys.require if each.known_at_m is not None}
+    asked = {requirement.known_at_m for requirement in plan.keys.require if requirement.known_at_m is not None}
     distances = sorted({*DISTANCES_M, *asked})
     rows, keys, drawn = SeedRows(plan, table), varying(plan), []
     cells: list[Row] = []
@@ -58,11 +58,11 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
     for low, high in pairwise(SIZE_EDGES_M):
         size, curves = f"{low:,g} to {high:,g} m" if high < np.inf else f"{low:,g} m and more", {}
         for condition, tracker in cases:
-            found, crashed = rows.approaches(Case(tracker, condition))
-            sized = [[each for each in seed if low <= each["length_m"] < high] for seed in found]
+            seeds, crashed = rows.approaches(Case(tracker, condition))
+            sized = [[approach for approach in seed if low <= approach["length_m"] < high] for seed in seeds]
             counts = [counted_approaches(sized, crashed, distance) for distance in distances]
             label, values = plan.keys.trackers[tracker].label, condition_cells(plan, condition, keys)
-            if any(each.came.sum() for each in counts):
+            if any(count.came.sum() for count in counts):
                 cells.append((size, label, *values, *(f"{c.known.sum():.0f} of {c.came.sum():.0f}" for c in counts)))
                 curves[", ".join([label, *values])] = dict(zip(distances, counts, strict=True))
         drawn += [Figure(partial(_chart, size, curves), "")] if curves else []
@@ -74,14 +74,14 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
         f"{MIN_APPROACHES} approaches.",
         "soft",
     )
-    yield Table("", ("length", "tracker", *key_columns(keys), *(f"{each:,g} m" for each in distances)), cells)
+    yield Table("", ("length", "tracker", *key_columns(keys), *(f"{distance:,g} m" for distance in distances)), cells)
     yield BlockRow(drawn)
 
 
 def _chart(size: str, curves: Mapping[str, Mapping[float, ApproachCounts]]) -> str:
     axes, content = charts.Axes((0, 1.05 * DISTANCES_M[-1]), (0, 1.14)), ""
     for place, counts in enumerate(list(curves.values())[:MAX_CURVES]):
-        shown = [(at_m, each.share) for at_m, each in counts.items() if each.came.sum() >= MIN_APPROACHES]
+        shown = [(at_m, count.share) for at_m, count in counts.items() if count.came.sum() >= MIN_APPROACHES]
         x, y = np.array(shown, dtype=np.float64).reshape(-1, 2).T
         content += charts.line(axes, x, y, charts.colour_of(place))
     content += charts.key(list(curves)[:MAX_CURVES], axes.height - 38)
@@ -98,7 +98,7 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
     remark, count = "", len(rows)
     if count > MAX_ROWS and scores:
         worst = sorted(rows, key=lambda row: _badness(score, row.means[scores[0]].value))[:MAX_ROWS]
-        rows = [row for row in rows if any(row is each for each in worst)]
+        rows = [row for row in rows if any(row is other for other in worst)]
         remark = f" The {MAX_ROWS} rows of {count:,} with the worst {score.name} are shown; "
         remark += "modsim3d campaign table has all."
     shown = means.with_required(plan, rows, verdicts)
@@ -129,10 +129,10 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
-    keys_of_scores = (each.key for each in words.required_scores(plan) if each.key not in TIMES)
+    keys_of_scores = (score.key for score in words.required_scores(plan) if score.key not in TIMES)
     scores = dict.fromkeys(key for key in keys_of_scores if key in table.column_names)
-    found = [each for score in scores for each in paired(plan, table, score)]
-    if not found:
+    pairs = [pair for score in scores for pair in paired(plan, table, score)]
+    if not pairs:
         return []
     judged = {
         (requirement.score, case.condition, frozenset((requirement.of, requirement.minus)))
@@ -141,24 +141,24 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
         for case in cases_of(plan, requirement)
         if case.part is None
     }
-    said = [(each.score, each.condition, frozenset((each.first, each.second))) in judged for each in found]
-    found = [replace(each, low=None, high=None) if here else each for each, here in zip(found, said, strict=True)]
-    remark = " Intervals of differences that are required are those of the requirements, above." * any(said)
+    required = [(pair.score, pair.condition, frozenset((pair.first, pair.second))) in judged for pair in pairs]
+    pairs = [replace(pair, low=None, high=None) if here else pair for pair, here in zip(pairs, required, strict=True)]
+    remark = " Intervals of differences that are required are those of the requirements, above." * any(required)
     keys, span = words.varying(plan), {}
-    for score in {each.score for each in found}:
-        here = [each for each in found if each.score == score]
-        span[score] = span_of([0.0, *(words.or_nan(v) for each in here for v in (each.mean, each.low, each.high))])
+    for score in {pair.score for pair in pairs}:
+        here = [pair for pair in pairs if pair.score == score]
+        span[score] = span_of([0.0, *(words.or_nan(v) for pair in here for v in (pair.mean, pair.low, pair.high))])
     rows: list[Row] = [
         (
-            words.Score(each.score).name,
-            *words.condition_cells(plan, each.condition, keys),
-            f"{each.first} − {each.second}",
-            three_digits_with_interval(each.mean, each.low, each.high),
-            _difference(each, span[each.score]),
-            f"{each.seeds:,}",
-            three_digits(each.variance_ratio),
+            words.Score(pair.score).name,
+            *words.condition_cells(plan, pair.condition, keys),
+            f"{pair.first} − {pair.second}",
+            three_digits_with_interval(pair.mean, pair.low, pair.high),
+            _difference(pair, span[pair.score]),
+            f"{pair.seeds:,}",
+            three_digits(pair.variance_ratio),
         )
-        for each in found[:MAX_ROWS]
+        for pair in pairs[:MAX_ROWS]
     ]
     header = ("score", *key_columns(keys), "difference", "mean [interval]", "against 0", "seeds", "variance ratio")
     return [
@@ -174,10 +174,10 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
     ]
 
 
-def _difference(each: PairedDifference, span: tuple[float, float]) -> Cell:
-    found = ChartInterval(words.or_nan(each.mean), words.or_nan(each.low), words.or_nan(each.high))
-    label = f"{three_digits_with_interval(found.mean, found.low, found.high)} against 0"
-    return Cell("", draw=partial(strip, found, 0.0, None, span, label))
+def _difference(pair: PairedDifference, span: tuple[float, float]) -> Cell:
+    interval = ChartInterval(words.or_nan(pair.mean), words.or_nan(pair.low), words.or_nan(pair.high))
+    label = f"{three_digits_with_interval(interval.mean, interval.low, interval.high)} against 0"
+    return Cell("", draw=partial(strip, interval, 0.0, None, span, label))
 
 
 WORST = 5  # runs that are shown with a picture
@@ -189,29 +189,29 @@ def worst_sections(
     folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], advance: Callable[..., None]
 ) -> list[Block]:
     """The worst runs, the moment at which each went wrong, and commands that show more; `advance(1)` follows each."""
-    found = worst_runs(folder, table, verdicts, WORST) if len(table) else []
+    runs = worst_runs(folder, table, verdicts, WORST) if len(table) else []
     about = (
         "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "
         "failed requirements come before the others. They say how a tracker fails, and nothing about how often."
     )
-    advance(0, len(found))
-    blocks = (block for each in found for block in _worst_run(folder, each, advance))
-    return [Heading("The worst runs"), Text(about if found else "", "soft"), *blocks]
+    advance(0, len(runs))
+    blocks = (block for run in runs for block in _worst_run(folder, run, advance))
+    return [Heading("The worst runs"), Text(about if runs else "", "soft"), *blocks]
 
 
-def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., None]) -> Iterator[Block]:
-    run = folder.plan.run(each.number)
-    values = {**words.values_of(folder.plan, each.condition), **run.condition.values}
-    what = "crashed" if each.value is None else f"{score_name(each.score)} {three_digits(each.value)}"
-    if each.requirement is not None:
-        what += f" (requirement {each.requirement + 1})"
-    said = values_text(values, [*words.varying(folder.plan), *folder.plan.drawn])
-    yield Heading(f"Run {each.number}: {each.tracker}, {what}", 3)
-    yield Text(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft")
-    if each.moment_s is not None:
-        yield moment_block(folder, each.number, each.tracker, each.moment_s, each.score)
+def _worst_run(folder: CampaignFolder, worst: WorstRun, advance: Callable[..., None]) -> Iterator[Block]:
+    run = folder.plan.run(worst.number)
+    values = {**words.values_of(folder.plan, worst.condition), **run.condition.values}
+    what = "crashed" if worst.value is None else f"{score_name(worst.score)} {three_digits(worst.value)}"
+    if worst.requirement is not None:
+        what += f" (requirement {worst.requirement + 1})"
+    settings = values_text(values, [*words.varying(folder.plan), *folder.plan.drawn])
+    yield Heading(f"Run {worst.number}: {worst.tracker}, {what}", 3)
+    yield Text(f"{settings}; traffic seed {worst.traffic_seed}, detector seed {worst.detector_seed}.", "soft")
+    if worst.moment_s is not None:
+        yield moment_block(folder, worst.number, worst.tracker, worst.moment_s, worst.score)
     advance(1)
-    for name, line in (("Make it again:", each.again), ("Film:", each.film)):
+    for name, line in (("Make it again:", worst.again), ("Film:", worst.film)):
         if line:
             yield Text(name)
             yield Text(line, "code")
@@ -242,17 +242,17 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
     shown = [name for name in ("run", "tracker", "error", SAID) if name in table.column_names]
     for row in crashed.select(shown).to_pylist():
         by_error.setdefault(row["error"] or "unknown", []).append(row)
-    ordered = sorted(by_error.items(), key=lambda each: (-len(each[1]), each[1][0]["run"]))
+    ordered = sorted(by_error.items(), key=lambda entry: (-len(entry[1]), entry[1][0]["run"]))
     rows = [
         (
-            f"{len(found):,}",
-            error_text(found[0]),
-            listed(list(dict.fromkeys(row["tracker"] for row in found))),
-            listed([str(row["run"]) for row in found], MAX_NUMBERS),
+            f"{len(group):,}",
+            error_text(group[0]),
+            listed(list(dict.fromkeys(row["tracker"] for row in group))),
+            listed([str(row["run"]) for row in group], MAX_NUMBERS),
         )
-        for _, found in ordered[:MAX_ERRORS]
+        for _, group in ordered[:MAX_ERRORS]
     ]
-    said = (
+    summary = (
         f"{counted(len(crashed), 'run')} of {len(table):,} crashed. Means and charts are of the other runs; "
         "requirements count each crash as wrong, or stay undecided. To see an error again:"
     )
@@ -260,7 +260,7 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
     more = f"The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
     return [
         Heading("Runs that crashed"),
-        Text(said, "soft"),
+        Text(summary, "soft"),
         Text(again, "code"),
         Table("", ("runs", "error", "trackers", "numbers of the runs"), rows),
         Text(more, "soft"),
@@ -309,7 +309,7 @@ def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
 def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
     """Means, differences between trackers, and the runs that crashed."""
     sections = mean_sections(folder.plan, table, verdicts)
-    sections += [Text(each) for each in means.repeat_sentences(folder.plan, table)]
+    sections += [Text(sentence) for sentence in means.repeat_sentences(folder.plan, table)]
     return [Heading("Means"), *sections, *paired_sections(folder.plan, table), *crash_sections(folder, table)]
 
 
@@ -323,21 +323,21 @@ def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -
 
 def cautions(folder: CampaignFolder, table: pa.Table) -> list[Text]:
     """Cautions that a reader needs before the numbers."""
-    plan, found = folder.plan, list[Text]()
+    plan, notes = folder.plan, list[Text]()
     if crashed := len(table) - int(pc.sum(pc.equal(table["status"], DONE)).as_py() or 0):
-        found.append(Text(f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
+        notes.append(Text(f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
     if killed := killed_sentence(folder):
-        found.append(Text(killed))
-    found += [Text(f"{text[0].upper()}{text[1:]}.", "bad") for text in means.same_detections(plan, table)]
-    fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])
+        notes.append(Text(killed))
+    notes += [Text(f"{text[0].upper()}{text[1:]}.", "bad") for text in means.same_detections(plan, table)]
+    fixed = dict.fromkeys(entry["scene"] for entry in folder.facts["conditions"] if not entry["traffic_has_seed"])
     if fixed:
-        said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "
-        found.append(Text(said + "Seeds change the detector and the waves; no result speaks of other traffic."))
+        line = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "
+        notes.append(Text(line + "Seeds change the detector and the waves; no result speaks of other traffic."))
     if plan.keys.uncertainty == "learned":
-        said = "The detector's parameters are drawn for each traffic seed from the intervals that learn wrote, so the "
-        said += "intervals are wider where its test set was small. A mean is one over all detectors that this set "
-        found.append(Text(said + "allows: with many seeds its interval is narrow, however small the set."))
-    return found
+        line = "The detector's parameters are drawn for each traffic seed from the intervals that learn wrote, so the "
+        line += "intervals are wider where its test set was small. A mean is one over all detectors that this set "
+        notes.append(Text(line + "allows: with many seeds its interval is narrow, however small the set."))
+    return notes
 
 
 def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
@@ -349,8 +349,8 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
     stop = f"sequential: looked at after every {counted(keys.batch, 'traffic seed')}"
     rows = [
         ("runs", f"{runs}; {simulated} simulated"),
-        ("scenes", listed(list(dict.fromkeys(each["scene"] for each in folder.facts["conditions"])), 12)),
-        ("trackers", listed([each.label for each in keys.trackers], 12)),
+        ("scenes", listed(list(dict.fromkeys(entry["scene"] for entry in folder.facts["conditions"])), 12)),
+        ("trackers", listed([tracker.label for tracker in keys.trackers], 12)),
         ("conditions", f"{len(plan.conditions):,}"),
         ("seeds", f"{counted(keys.seeds.traffic, 'traffic seed')}, {keys.seeds.detector:,} of the detector for each"),
         ("the same everywhere", ", ".join(f"{key} {value}" for key, value in words.constant(plan).items())),

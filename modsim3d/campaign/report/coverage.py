@@ -135,12 +135,12 @@ def counted_states(folder: CampaignFolder, table: pa.Table) -> tuple[CountedBin,
     looks = RunGroups.by(table, "detections_key")
     conditions = folder.facts["conditions"]
     condition = looks.rows["condition"].to_numpy()
-    found = []
-    for state in dict.fromkeys(state for each in conditions for state in each["states"]):
-        only = np.isin(condition, [index for index, each in enumerate(conditions) if each["states"] == [state]])
+    bins = []
+    for state in dict.fromkeys(state for entry in conditions for state in entry["states"]):
+        only = np.isin(condition, [index for index, entry in enumerate(conditions) if entry["states"] == [state]])
         frames = np.nan_to_num(np.where(only, looks.numbers("frames"), looks.numbers(f"state.{state}.frames")))
-        found.append(looks.in_rows(frames > 0, state, int(frames.sum())))
-    return tuple(found)
+        bins.append(looks.in_rows(frames > 0, state, int(frames.sum())))
+    return tuple(bins)
 
 
 _MAX_RANGES = 6
@@ -165,7 +165,7 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
     conditions = table["condition"].to_numpy()
     trackers = table["tracker"].to_numpy(zero_copy_only=False)
     runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
-    names, rows = {each.label for each in plan.keys.trackers}, []
+    names, rows = {tracker.label for tracker in plan.keys.trackers}, []
     for verdict in verdicts[:_MAX_ROWS]:
         labels = [verdict.tracker]
         if verdict.tracker not in names:  # a difference between two
@@ -187,26 +187,26 @@ def _omission(count: int, file: str) -> Iterator[Block]:
 
 def numbers_in_words(numbers: Indices) -> str:
     """Ascending numbers, shape (n,): `3, 9, … 57 (10, every 6th)`, or ranges; at most six of them."""
-    found = numbers.tolist()
-    if not found:
+    values = numbers.tolist()
+    if not values:
         return "none"
     steps = np.diff(numbers)
-    if len(found) > 3 and len(set(steps.tolist())) == 1 and steps[0] > 1:
-        return f"{found[0]}, {found[1]}, … {found[-1]} ({len(found)} of them, {int(steps[0])} apart)"
+    if len(values) > 3 and len(set(steps.tolist())) == 1 and steps[0] > 1:
+        return f"{values[0]}, {values[1]}, … {values[-1]} ({len(values)} of them, {int(steps[0])} apart)"
     ends = np.flatnonzero(steps != 1)
     firsts, lasts = numbers[np.append(0, ends + 1)], numbers[np.append(ends, -1)]
     ranges = [f"{a}" if a == b else f"{a}–{b}" for a, b in zip(firsts, lasts, strict=True)]
     more = f" and {len(ranges) - _MAX_RANGES} ranges more" if len(ranges) > _MAX_RANGES else ""
-    return ", ".join(ranges[:_MAX_RANGES]) + more + (f" ({len(found)} of them)" if len(found) > 1 else "")
+    return ", ".join(ranges[:_MAX_RANGES]) + more + (f" ({len(values)} of them)" if len(values) > 1 else "")
 
 
 def _conditions(folder: CampaignFolder) -> Iterator[Block]:
     rows = []
     conditions = folder.facts["conditions"]
-    for number, each in enumerate(conditions[:_MAX_ROWS]):
-        values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
-        sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
-        rows.append([f"{number}", each["scene"], values or "as it is", *sums])
+    for number, condition in enumerate(conditions[:_MAX_ROWS]):
+        values = ", ".join(f"{key} {text_of(value)}" for key, value in condition["values"].items())
+        sums = (condition[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
+        rows.append([f"{number}", condition["scene"], values or "as it is", *sums])
     yield Table("Conditions", ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"], rows)
     yield from _omission(len(conditions), PLAN)
     if folder.plan.drawn:
@@ -244,20 +244,20 @@ def empty_draws(keys: CampaignKeys, table: pa.Table) -> list[str]:
     """Parts of the drawn ranges that have no run that is done, in words."""
     done = table.filter(pc.equal(table["status"], DONE))
     drawn = {key: values for factor in keys.vary for key, values in factor.ranges.items() if key in table.column_names}
-    said = [text for key, values in drawn.items() for text in _of_key(key, values, done[key])]
+    gaps = [text for key, values in drawn.items() for text in _of_key(key, values, done[key])]
     numbers = {key: values for key, values in drawn.items() if values.choices is None}
     for one, other in combinations(numbers, 2):
         quarters = (np.floor(_shares(numbers[key], done[key]) * QUARTERS).tolist() for key in (one, other))
         if missing := QUARTERS**2 - len(set(zip(*quarters, strict=True))):
-            said.append(f"{one} with {other}: no draw in {missing} of {QUARTERS**2} squares of quarters of both ranges")
-    return said
+            gaps.append(f"{one} with {other}: no draw in {missing} of {QUARTERS**2} squares of quarters of both ranges")
+    return gaps
 
 
 def _of_key(key: str, values: Range, column: pa.ChunkedArray) -> Iterator[str]:
     if values.choices is not None:
         as_text = pa.types.is_string(column.type)  # so it is if not all choices are numbers
-        found = set(column.to_pylist())
-        missing = [text_of(each) for each in values.choices if (text_of(each) if as_text else each) not in found]
+        draws = set(column.to_pylist())
+        missing = [text_of(value) for value in values.choices if (text_of(value) if as_text else value) not in draws]
         if missing:
             yield f"{key}: {', '.join(missing)}: never drawn"
         return
@@ -342,16 +342,16 @@ def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
 
 def _extent(folder: CampaignFolder, table: pa.Table, truths: Truths) -> str:
     crashed = len(table) - truths.runs_in_all
-    said = (
+    text = (
         f"{truths.runs_in_all:,} of {counted(len(folder.plan), 'run')} are done, over "
         f"{counted(len(truths), 'different truth')} and {counted(truths.seeds_in_all, 'traffic seed')}."
     )
     if crashed:
-        said += f" {crashed:,} more crashed and cover nothing."
-    fixed = sorted({each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"]})
+        text += f" {crashed:,} more crashed and cover nothing."
+    fixed = sorted({entry["scene"] for entry in folder.facts["conditions"] if not entry["traffic_has_seed"]})
     if fixed:
-        said += f" The traffic of {', '.join(fixed)} is not drawn: it is the same for every seed, and counts as one."
-    return said
+        text += f" The traffic of {', '.join(fixed)} is not drawn: it is the same for every seed, and counts as one."
+    return text
 
 
 def _parts(folder: CampaignFolder, table: pa.Table, truths: Truths) -> Iterator[CoverageTable]:
@@ -373,7 +373,7 @@ def _parts(folder: CampaignFolder, table: pa.Table, truths: Truths) -> Iterator[
 
 
 def _binned(truths: Truths, names: Sequence[str], labels: Sequence[str]) -> tuple[CountedBin, ...]:
-    return tuple(truths.counted(*each) for each in zip(names, labels, strict=True))
+    return tuple(truths.counted(*pair) for pair in zip(names, labels, strict=True))
 
 
 def _encounters(truths: Truths) -> CoverageTable:
@@ -381,7 +381,7 @@ def _encounters(truths: Truths) -> CoverageTable:
     if not truths.known("met.seen"):
         none = "No vessel carries a camera, so there is no own ship that could meet another."
         return CoverageTable(title, unit, (), none)
-    rows = tuple(truths.counted(*each) for each in ENCOUNTERS.items())
+    rows = tuple(truths.counted(*pair) for pair in ENCOUNTERS.items())
     met, seen = sum(row.count for row in rows), truths.counted("met.seen", "").count
     nearest = truths.span("covered.closest_approach_m", "covered.closest_approach_m", "m", "Closest approach of a run")
     note = (
@@ -422,23 +422,23 @@ def _rolls(truths: Truths) -> CoverageTable:
 
 
 def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable]) -> Iterator[Block]:
-    said = [f"{part.title}: {', '.join(part.empty)}" for part in parts if part.empty]
-    said += [f"{part.title}: {part.note}" for part in parts if not part.rows]
-    said += empty_draws(folder.keys, table)
+    gaps = [f"{part.title}: {', '.join(part.empty)}" for part in parts if part.empty]
+    gaps += [f"{part.title}: {part.note}" for part in parts if not part.rows]
+    gaps += empty_draws(folder.keys, table)
     yield Heading("Not covered", 3)
-    yield Items(said or ["No bin is empty."])
+    yield Items(gaps or ["No bin is empty."])
 
 
 def _trackers(folder: CampaignFolder) -> Iterator[Block]:
-    found: dict[tuple[str, ...], list[int]] = {}
+    by_row: dict[tuple[str, ...], list[int]] = {}
     for number, condition in enumerate(folder.facts["conditions"]):
         for label, facts in condition["trackers"].items():
             settings = ", ".join(f"{key} {value}" for key, value in sorted(facts["settings"].items()))
             row = label, facts["tracker"], facts["package"], settings or "defaults", facts["chosen"]
-            found.setdefault(row, []).append(number)
+            by_row.setdefault(row, []).append(number)
     every = len(folder.facts["conditions"])
     rows = [
-        [*row, "all" if len(numbers) == every else listed([*map(str, numbers)], 10)] for row, numbers in found.items()
+        [*row, "all" if len(numbers) == every else listed([*map(str, numbers)], 10)] for row, numbers in by_row.items()
     ]
     header = ["name", "tracker", "package", "settings", "where they are from", "conditions"]
     yield Table("Trackers and their settings", header, rows)

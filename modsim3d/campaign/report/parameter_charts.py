@@ -37,7 +37,7 @@ class MeanGrid:
     def with_least(self, seeds: int) -> MeanGrid:
         """The estimates that rest on so many seeds; the others are NaN."""
         few = self.seeds < seeds
-        mean, low, high = (np.where(few, np.nan, each) for each in (self.mean, self.low, self.high))
+        mean, low, high = (np.where(few, np.nan, values) for values in (self.mean, self.low, self.high))
         return MeanGrid(mean, low, high, self.seeds)
 
 
@@ -55,11 +55,11 @@ def seed_cells(plan: Plan, table: pa.Table, column: str) -> Array:
 
 def over_seeds(values: Array) -> MeanGrid:
     """Means over the first axis, which is that of traffic seeds; NaN is no value."""
-    known = ~np.isnan(values)
-    count = known.sum(axis=0)
+    valid = ~np.isnan(values)
+    count = valid.sum(axis=0)
     mean = mean_of(values, 0)
     with np.errstate(invalid="ignore"):  # an infinite mean has no interval
-        square = np.where(known, values - mean, 0.0) ** 2
+        square = np.where(valid, values - mean, 0.0) ** 2
         deviation = np.sqrt(square.sum(axis=0) / np.maximum(count - 1, 1))
         half = half_widths(mean, deviation, count, (1 - LEVEL) / 2)
     return MeanGrid(mean, mean - half, mean + half, count)
@@ -69,12 +69,12 @@ def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
     """Means over the traffic seeds at each level of a parameter, shape (levels, trackers). The value of a seed at a
     level is the mean over its conditions at that level. `cells` is a score, (seeds, conditions, trackers), and `index`
     the level of each seed and condition, (seeds, conditions), −1 for none."""
-    found = []
+    grids = []
     for level in range(levels):
         at = index == level
         seeds = at.any(axis=1)
-        found.append(over_seeds(mean_of(np.where(at[seeds, :, None], cells[seeds], np.nan), 1)))
-    return MeanGrid(*(np.stack([getattr(each, name) for each in found]) for name in ("mean", "low", "high", "seeds")))
+        grids.append(over_seeds(mean_of(np.where(at[seeds, :, None], cells[seeds], np.nan), 1)))
+    return MeanGrid(*(np.stack([getattr(grid, name) for grid in grids]) for name in ("mean", "low", "high", "seeds")))
 
 
 MAX_LEVELS = 12  # numbers of a grid that are shown one by one
@@ -105,19 +105,19 @@ def parameters_of(plan: Plan, table: pa.Table) -> list[VariedKey]:
     """Parameters with more than one value, in the order of the file."""
     seed = table["run"].to_numpy() // plan.runs_by_seed
     seeds = int(seed.max()) + 1 if len(seed) else 0
-    ranges = {key: each for factor in plan.keys.vary for key, each in factor.ranges.items()}
-    there, first = np.unique(seed, return_index=True)
-    found = []
+    ranges = {key: span for factor in plan.keys.vary for key, span in factor.ranges.items()}
+    places, first = np.unique(seed, return_index=True)
+    parameters = []
     for key in plan.parameters:
         if key in ranges:
             drawn: list[Any] = [None] * seeds
-            for place, value in zip(there.tolist(), table[key].take(first).to_pylist(), strict=True):
+            for place, value in zip(places.tolist(), table[key].take(first).to_pylist(), strict=True):
                 drawn[place] = value
-            found.append(_parameter(key, [[value] * len(plan.conditions) for value in drawn], ranges[key]))
+            parameters.append(_parameter(key, [[value] * len(plan.conditions) for value in drawn], ranges[key]))
         else:
             row = [value_of(condition, key) for condition in plan.conditions]
-            found.append(_parameter(key, [row], None, seeds))
-    return [each for each in found if len(each.levels) > 1]
+            parameters.append(_parameter(key, [row], None, seeds))
+    return [parameter for parameter in parameters if len(parameter.levels) > 1]
 
 
 def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, repeat: int = 1) -> VariedKey:
@@ -129,20 +129,20 @@ def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, re
         rows = [[-1 if value is None else places[text_of(value)] for value in row] for row in values]
         return VariedKey(key, tuple(names), np.repeat(np.array(rows, dtype=np.int64), repeat, axis=0))
     numbers = np.array([[np.nan if value is None else float(value) for value in row] for row in values])
-    known = np.unique(numbers[np.isfinite(numbers)])
-    log = bool(known[0] > 0 and np.log10(known[-1] / known[0]) >= DECADES) if span is None else span.scale == "log"
-    if len(known) <= MAX_LEVELS:
-        index = np.where(np.isfinite(numbers), np.searchsorted(known, numbers), -1)
-        names, places_of = [f"{value:g}" for value in known], known
+    levels = np.unique(numbers[np.isfinite(numbers)])
+    log = bool(levels[0] > 0 and np.log10(levels[-1] / levels[0]) >= DECADES) if span is None else span.scale == "log"
+    if len(levels) <= MAX_LEVELS:
+        index = np.where(np.isfinite(numbers), np.searchsorted(levels, numbers), -1)
+        names, places_of = [f"{value:g}" for value in levels], levels
     else:
-        index, names, places_of = _binned(numbers, known, log)
-    numbers, index = (np.repeat(each, repeat, axis=0) for each in (numbers, index))
-    return VariedKey(key, tuple(names), index, numbers, places_of, len(known) > MAX_LEVELS, log)
+        index, names, places_of = _binned(numbers, levels, log)
+    numbers, index = (np.repeat(grid, repeat, axis=0) for grid in (numbers, index))
+    return VariedKey(key, tuple(names), index, numbers, places_of, len(levels) > MAX_LEVELS, log)
 
 
-def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str], Array]:
+def _binned(numbers: Array, levels: Array, log: bool) -> tuple[Indices, list[str], Array]:
     """Equal stretches of the axis: the one of each number, their names and their middles."""
-    ends = (float(known[0]), float(known[-1]))
+    ends = (float(levels[0]), float(levels[-1]))
     edges = np.geomspace(*ends, BINS + 1) if log else np.linspace(*ends, BINS + 1)
     index = np.clip(np.searchsorted(edges, numbers, side="right") - 1, 0, BINS - 1)
     middles = np.sqrt(edges[:-1] * edges[1:]) if log else (edges[:-1] + edges[1:]) / 2
@@ -158,7 +158,7 @@ MIN_SEEDS = 3  # a mean of drawn numbers rests on at least so many seeds
 def parameter_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ()) -> list[Block]:
     """Charts of each required score against each parameter, and heat maps of the first score."""
     parameters, scores = parameters_of(plan, table), required_scores(plan)[:MAX_SCORES]
-    trackers = [each.label for each in plan.keys.trackers][:MAX_SHOWN_TRACKERS]
+    trackers = [tracker.label for tracker in plan.keys.trackers][:MAX_SHOWN_TRACKERS]
     if not parameters or not len(table):
         return []
     cells = {score.column: seed_cells(plan, table, score.column)[:, :, : len(trackers)] for score in scores}
@@ -173,7 +173,7 @@ def parameter_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] 
         )
         for parameter in parameters[:MAX_PARAMETERS]
     ]
-    rest = ", ".join(each.key for each in parameters[MAX_PARAMETERS:])
+    rest = ", ".join(parameter.key for parameter in parameters[MAX_PARAMETERS:])
     return [
         Heading("Scores against what is varied"),
         Text(caption, "soft"),
@@ -194,84 +194,84 @@ def _charts(
     def of_score(column: str) -> list[Verdict]:
         return [verdict for of, _, verdict in required if of == column]
 
-    return "".join(_chart(parameter, each, cells[each.column], trackers, of_score(each.column)) for each in scores)
+    return "".join(_chart(parameter, score, cells[score.column], trackers, of_score(score.column)) for score in scores)
 
 
 def _with_required(
-    found: MeanGrid, parameter: VariedKey, trackers: Sequence[str], required: Sequence[Verdict]
+    means: MeanGrid, parameter: VariedKey, trackers: Sequence[str], required: Sequence[Verdict]
 ) -> MeanGrid:
     """Means with the intervals of their requirements, where a level is one condition, the same for all seeds."""
-    low, high, index = found.low.copy(), found.high.copy(), parameter.index
-    for each in required:
-        level = index[0, each.condition]
-        alone = level >= 0 and (index[:, each.condition] == level).all() and (index == level).sum() == len(index)
-        if alone and each.tracker in trackers:
-            place = level, trackers.index(each.tracker)
-            ends = interval_of(each, float(found.mean[place]))
+    low, high, index = means.low.copy(), means.high.copy(), parameter.index
+    for verdict in required:
+        level = index[0, verdict.condition]
+        alone = level >= 0 and (index[:, verdict.condition] == level).all() and (index == level).sum() == len(index)
+        if alone and verdict.tracker in trackers:
+            place = level, trackers.index(verdict.tracker)
+            ends = interval_of(verdict, float(means.mean[place]))
             low[place], high[place] = (np.nan if end is None else end for end in ends)
-    return replace(found, low=low, high=high)
+    return replace(means, low=low, high=high)
 
 
 def tied(first: VariedKey, second: VariedKey) -> bool:
     """Whether a level of one decides that of the other, so that their effects cannot be told apart."""
     if first.binned or second.binned:
         return False
-    found = set(zip(first.index.ravel().tolist(), second.index.ravel().tolist(), strict=True))
-    return len(found) <= max(len({a for a, _ in found}), len({b for _, b in found}))
+    pairs = set(zip(first.index.ravel().tolist(), second.index.ravel().tolist(), strict=True))
+    return len(pairs) <= max(len({a for a, _ in pairs}), len({b for _, b in pairs}))
 
 
 def _remark(parameter: VariedKey, plan: Plan, parameters: Sequence[VariedKey], scores: Sequence[Score]) -> str:
-    said = f"By {parameter.key}."
+    remark = f"By {parameter.key}."
     if parameter.key in plan.drawn:
-        said += " It is drawn for each traffic seed, so each level has other seeds."
-    if others := [each.key for each in parameters if each is not parameter and tied(parameter, each)]:
-        said += f" It changes together with {', '.join(others)}: this chart cannot say which of them does it."
+        remark += " It is drawn for each traffic seed, so each level has other seeds."
+    if others := [other.key for other in parameters if other is not parameter and tied(parameter, other)]:
+        remark += f" It changes together with {', '.join(others)}: this chart cannot say which of them does it."
     if dashed := [f"{score.name} {text}" for score in scores for text, _ in score.threshold_words]:
-        said += f" Dashed: {', '.join(dashed)}."
-    return said
+        remark += f" Dashed: {', '.join(dashed)}."
+    return remark
 
 
 def _chart(
     parameter: VariedKey, score: Score, cells: Array, trackers: Sequence[str], required: Sequence[Verdict]
 ) -> str:
-    found = by_level(cells, parameter.index, len(parameter.levels))
-    found = _with_required(found, parameter, trackers, required)
+    means = by_level(cells, parameter.index, len(parameter.levels))
+    means = _with_required(means, parameter, trackers, required)
     title = f"{score.name} by {parameter.key}"
     if parameter.places is None:
-        return forest(_rows(parameter, found), title, score.label, score.thresholds)
-    return _lines(parameter, score, cells, found, title)
+        return forest(_rows(parameter, means), title, score.label, score.thresholds)
+    return _lines(parameter, score, cells, means, title)
 
 
-def _rows(parameter: VariedKey, found: MeanGrid) -> list[tuple[str, list[ChartInterval]]]:
+def _rows(parameter: VariedKey, means: MeanGrid) -> list[tuple[str, list[ChartInterval]]]:
     def intervals(place: int) -> list[ChartInterval]:
-        ends = zip(found.mean[place].tolist(), found.low[place].tolist(), found.high[place].tolist(), strict=True)
-        return [ChartInterval(*each, series) for series, each in enumerate(ends)]
+        ends = zip(means.mean[place].tolist(), means.low[place].tolist(), means.high[place].tolist(), strict=True)
+        return [ChartInterval(*triple, series) for series, triple in enumerate(ends)]
 
     return [(level, intervals(place)) for place, level in enumerate(parameter.levels)]
 
 
-def _lines(parameter: VariedKey, score: Score, cells: Array, found: MeanGrid, title: str) -> str:
+def _lines(parameter: VariedKey, score: Score, cells: Array, means: MeanGrid, title: str) -> str:
     """Lines with bands through the levels; where numbers are drawn, dots of the seeds too."""
     dots = _dots(parameter, cells) if parameter.binned else []
     if parameter.binned:
-        found = found.with_least(MIN_SEEDS)
+        means = means.with_least(MIN_SEEDS)
     y = span_of(
-        [*found.mean.flat, *found.low.flat, *found.high.flat, *score.thresholds, *(v for d in dots for v in d[1])]
+        [*means.mean.flat, *means.low.flat, *means.high.flat, *score.thresholds, *(v for d in dots for v in d[1])]
     )
     x_values = [*parameter.on_axis, *(v for d in dots for v in d[0])]
     top = y[1] + 0.06 * (y[1] - y[0])  # the name of the axis stands there
     axes = charts.Axes(span_of(x_values, 0.06), (y[0], top), 470, 310, _x_ticks(parameter))
-    content = "".join(marks(axes, *each, series, opacity=0.3) for series, each in enumerate(dots))
-    for series in range(found.mean.shape[1]):
-        known = np.isfinite(found.low[:, series])
-        x, low, high = parameter.on_axis[known], found.low[known, series], found.high[known, series]
+    content = "".join(marks(axes, *points, series, opacity=0.3) for series, points in enumerate(dots))
+    for series in range(means.mean.shape[1]):
+        finite = np.isfinite(means.low[:, series])
+        x, low, high = parameter.on_axis[finite], means.low[finite, series], means.high[finite, series]
         if parameter.binned or len(x) > 1:
             content += band(axes, x, low, high, series)
         else:
             content += charts.whiskers(axes, x, low, high, charts.colour_of(series))
-    for series in range(found.mean.shape[1]):
-        known = np.isfinite(found.mean[:, series])
-        x, mean = parameter.on_axis[known], found.mean[known, series]
+    for series in range(means.mean.shape[1]):
+        finite = np.isfinite(means.mean[:, series])
+        x, mean = parameter.on_axis[finite], means.mean[finite, series]
         content += charts.line(axes, x, mean, charts.colour_of(series)) + marks(axes, x, mean, series)
     for text, value in score.threshold_words:  # a dashed line, at which its side of what is right is written
         content += charts.line(axes, np.array(axes.x), np.full(2, value), "var(--ink)", dashed=True, width=1.4)
@@ -298,11 +298,11 @@ def _dots(parameter: VariedKey, cells: Array) -> list[tuple[Array, Array]]:
     x = np.log10(x) if parameter.log else x
     y = mean_of(cells, 1)
     every = -(-len(x) // MAX_DOTS)
-    found = []
+    dots = []
     for tracker in range(y.shape[1]):
-        known = np.flatnonzero(np.isfinite(x) & np.isfinite(y[:, tracker]))[::every]
-        found.append((x[known], y[known, tracker]))
-    return found
+        rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y[:, tracker]))[::every]
+        dots.append((x[rows], y[rows, tracker]))
+    return dots
 
 
 def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trackers: Sequence[str]) -> Iterator[Block]:
@@ -315,12 +315,12 @@ def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trac
         index = first.index * len(second.levels) + second.index
         index = np.where((first.index < 0) | (second.index < 0), -1, index)
         shape = (len(first.levels), len(second.levels), len(trackers))
-        found = by_level(cells, index, shape[0] * shape[1])
-        span = span_of([*found.mean.flat], 0)
-        mean, seeds = found.mean.reshape(shape), found.seeds.reshape(shape)
+        means = by_level(cells, index, shape[0] * shape[1])
+        span = span_of([*means.mean.flat], 0)
+        mean, seeds = means.mean.reshape(shape), means.seeds.reshape(shape)
         yield Heading(f"{first.key} × {second.key}", 3)
         of_trackers = zip(np.moveaxis(mean, 2, 0), np.moveaxis(seeds, 2, 0), trackers, strict=True)
-        yield BlockRow([_heat_map(first, second, *each, span) for each in of_trackers])
+        yield BlockRow([_heat_map(first, second, *panel, span) for panel in of_trackers])
 
 
 def _heat_map(
@@ -333,7 +333,7 @@ def _heat_map(
         return Cell(text, (value - span[0]) / (span[1] - span[0]) if np.isfinite(value) else None)
 
     rows: list[Row] = [
-        (level, *(cell(*each) for each in zip(values, counts, strict=True)))
+        (level, *(cell(*pair) for pair in zip(values, counts, strict=True)))
         for level, values, counts in zip(first.levels, mean.tolist(), seeds.tolist(), strict=True)
     ]
     about = f"{name}: columns are {axis_of(second.key)}"

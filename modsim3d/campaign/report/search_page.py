@@ -73,7 +73,7 @@ def search_page(
             Heading("Others"),
             *_others(table),
             Heading("Where it looked"),
-            Table("", (), [*((key, _range(each)) for key, each in search.over.items()), *_facts(folder)]),
+            Table("", (), [*((key, _range(span)) for key, span in search.over.items()), *_facts(folder)]),
         ],
     )
     return document_page(document, rests_on(folder, "findings of a search", command))
@@ -130,22 +130,22 @@ def _moments(
 
 def _others(table: pa.Table) -> list[Block]:
     rows = [(str(row["run"]), row["status"], row["error"] or "") for row in table.to_pylist() if row["status"] != DONE]
-    said = "A trial that is refused has values that the scene does not take; it is no failure of the tracker."
-    return [Table("", ("trial", "status", "error"), rows[:SHOWN], about=said)]
+    note = "A trial that is refused has values that the scene does not take; it is no failure of the tracker."
+    return [Table("", ("trial", "status", "error"), rows[:SHOWN], about=note)]
 
 
-def _range(each: Range) -> str:
-    if each.choices is not None:
-        return "one of " + ", ".join(map(text_of, each.choices))
-    kind = f"{', logarithmic' if each.scale == 'log' else ''}{', whole numbers' if each.whole else ''}"
-    return f"{with_minus(f'{each.low:g}')} to {with_minus(f'{each.high:g}')}{kind}"
+def _range(span: Range) -> str:
+    if span.choices is not None:
+        return "one of " + ", ".join(map(text_of, span.choices))
+    kind = f"{', logarithmic' if span.scale == 'log' else ''}{', whole numbers' if span.whole else ''}"
+    return f"{with_minus(f'{span.low:g}')} to {with_minus(f'{span.high:g}')}{kind}"
 
 
 def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
     search, keys = folder.keys.search, folder.keys
     assert search is not None
     return [
-        ("tracker", ", ".join(each.label for each in keys.trackers)),
+        ("tracker", ", ".join(tracker.label for tracker in keys.trackers)),
         ("traffic seeds", f"{search.seeds:,} to choose from"),
         ("budget", f"{counted(search.budget, 'trial')}, {search.batch:,} at once"),
         ("versions", ", ".join(f"{name} {version}" for name, version in folder.facts["versions"].items())),

@@ -69,22 +69,22 @@ class Score:
     @property
     def threshold_words(self) -> list[tuple[str, float]]:
         """Thresholds for its mean, in words and as numbers."""
-        sides = {(each.threshold, each.at_least is not None) for each in self._of_mean}
+        sides = {(requirement.threshold, requirement.at_least is not None) for requirement in self._of_mean}
         return [(f"at {'least' if least else 'most'} {value:g}", value) for value, least in sorted(sides)]
 
     @property
     def thresholds(self) -> tuple[float, ...]:
         """Thresholds for its mean, ascending."""
-        return tuple(sorted({each.threshold for each in self._of_mean}))
+        return tuple(sorted({requirement.threshold for requirement in self._of_mean}))
 
     @property
     def _of_mean(self) -> list[Requirement]:
-        return [each for each in self.requirements if each.share is None]
+        return [requirement for requirement in self.requirements if requirement.share is None]
 
 
 def unit_of(key: str) -> str:
     """The unit that the end of a key names; empty without one."""
-    return next((unit for end, unit in sorted(UNITS.items(), key=lambda each: -len(each[0])) if key.endswith(end)), "")
+    return next((unit for end, unit in sorted(UNITS.items(), key=lambda pair: -len(pair[0])) if key.endswith(end)), "")
 
 
 def axis_of(key: str) -> str:
@@ -95,11 +95,11 @@ def axis_of(key: str) -> str:
 
 def required_scores(plan: Plan) -> list[Score]:
     """The scores that requirements are about, in their order; HOTA if there are none."""
-    found: dict[str, list[Requirement]] = {}
-    for requirement in (each for each in plan.keys.require if each.known_at_m is None):
+    by_column: dict[str, list[Requirement]] = {}
+    for requirement in (requirement for requirement in plan.keys.require if requirement.known_at_m is None):
         for column in columns_of(plan, requirement) or [requirement.score]:
-            found.setdefault(column, []).extend([requirement] * (requirement.of is None))
-    return [Score(column, tuple(each)) for column, each in found.items()] or [Score(USUAL)]
+            by_column.setdefault(column, []).extend([requirement] * (requirement.of is None))
+    return [Score(column, tuple(group)) for column, group in by_column.items()] or [Score(USUAL)]
 
 
 def varying(plan: Plan) -> list[str]:
@@ -128,8 +128,8 @@ def condition_cells(plan: Plan, place: int, keys: Sequence[str]) -> list[str]:
 
 def without_empty(rows: Sequence[Row], header: Sequence[str], empty: Sequence[str]) -> tuple[list[Row], list[str]]:
     """Rows and header without those of some columns in which no row says anything: all cells are empty or 0."""
-    said = [name not in empty or any(row[place] not in ("", "0") for row in rows) for place, name in enumerate(header)]
-    kept = [place for place, each in enumerate(said) if each]
+    full = [name not in empty or any(row[place] not in ("", "0") for row in rows) for place, name in enumerate(header)]
+    kept = [place for place, flag in enumerate(full) if flag]
     return [[row[place] for place in kept] for row in rows], [header[place] for place in kept]
 
 
@@ -141,8 +141,8 @@ MAX_OPEN, MAX_ROWS = 12, 200  # verdicts on a requirement that are shown at once
 
 def outcome_of(verdicts: Sequence[Verdict]) -> Outcome:
     """The outcome of a requirement: failed if one of its verdicts is, met if all are."""
-    found = {each.outcome for each in verdicts}
-    return next((outcome for outcome in ORDER if outcome in found), "undecided")
+    outcomes = {verdict.outcome for verdict in verdicts}
+    return next((outcome for outcome in ORDER if outcome in outcomes), "undecided")
 
 
 def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
@@ -150,23 +150,23 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
     if not plan.keys.require:
         return "This campaign has no requirements: it compares, and decides nothing."
     if own := repeatable(plan, verdicts):
-        return _verdict_sentence(plan, own) + "".join(f" {told}" for told in [_took_sentence(plan, verdicts)] if told)
+        return _verdict_sentence(plan, own) + "".join(f" {text}" for text in [_took_sentence(plan, verdicts)] if text)
     return _took_sentence(plan, verdicts)
 
 
 def _took_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
     """Summary of the verdicts on what runs took; empty without any."""
-    count = Counter(each.outcome for each in verdicts if plan.keys.require[each.requirement].of_time)
-    said = ", ".join(f"{count[outcome]} {_verb(count[outcome], outcome)}" for outcome in ORDER if count[outcome])
-    return said and f"Of {counted(count.total(), 'verdict')} on what runs took, not repeatable, {said}."
+    count = Counter(verdict.outcome for verdict in verdicts if plan.keys.require[verdict.requirement].of_time)
+    parts = ", ".join(f"{count[outcome]} {_verb(count[outcome], outcome)}" for outcome in ORDER if count[outcome])
+    return parts and f"Of {counted(count.total(), 'verdict')} on what runs took, not repeatable, {parts}."
 
 
 def _verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
-    by_requirement = [each for each in _by_requirement(plan, verdicts) if each]
-    count = Counter(outcome_of(found) for found in by_requirement)
+    by_requirement = [group for group in _by_requirement(plan, verdicts) if group]
+    count = Counter(outcome_of(group) for group in by_requirement)
     total = len(by_requirement)
     how = f"at {confidences(plan)} confidence {'each' if plan.keys.level == 'each' else 'together'}"
-    sign = {"failed": "✗", "undecided": "?", "met": "✓"}[next(each for each in ORDER if count[each])]
+    sign = {"failed": "✗", "undecided": "?", "met": "✓"}[next(outcome for outcome in ORDER if count[outcome])]
     if count["met"] == total:
         one = "The requirement is" if total == 1 else f"All {total} requirements are"
         return f"{sign} {one} met, {how}."
@@ -180,42 +180,42 @@ def _verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
 
 def confidences(plan: Plan) -> str:
     """The confidence of the requirements, or their range."""
-    found = sorted({100 * each.confidence for each in plan.keys.require})
-    return " to ".join(dict.fromkeys(f"{value:g} %" for value in (found[0], found[-1])))
+    levels = sorted({100 * requirement.confidence for requirement in plan.keys.require})
+    return " to ".join(dict.fromkeys(f"{value:g} %" for value in (levels[0], levels[-1])))
 
 
 def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Block]:
     """Each requirement with its verdicts, and their intervals against the threshold: first what is not met."""
-    said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
-    yield Text(said, "soft", Where.PAGE)
+    note = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
+    yield Text(note, "soft", Where.PAGE)
     by_requirement = _by_requirement(plan, verdicts)
     required = plan.keys.require
-    ordered = sorted(range(len(required)), key=lambda each: ORDER.index(outcome_of(by_requirement[each])))
-    for place in sorted(ordered, key=lambda each: required[each].of_time):  # those on what runs took stand apart
-        found, requirement = by_requirement[place], required[place]
+    ordered = sorted(range(len(required)), key=lambda index: ORDER.index(outcome_of(by_requirement[index])))
+    for place in sorted(ordered, key=lambda index: required[index].of_time):  # those on what runs took stand apart
+        group, requirement = by_requirement[place], required[place]
         given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
         about = [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
         text = ", ".join([with_name(requirement_text(requirement)), *about])
-        count = Counter(each.outcome for each in found)
-        said = SIGNS[outcome_of(found)] + " (not repeatable)" * requirement.of_time
+        count = Counter(verdict.outcome for verdict in group)
+        note = SIGNS[outcome_of(group)] + " (not repeatable)" * requirement.of_time
         if len(count) > 1:
-            said += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
-        elif len(found) > 1:
-            said += " in both cases" if len(found) == 2 else f" in all {len(found):,} cases"
-        yield Heading(f"{place + 1}. {text}: {said}", 3, bad=count["failed"] > 0)
-        yield from _table(plan, requirement, found)
+            note += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
+        elif len(group) > 1:
+            note += " in both cases" if len(group) == 2 else f" in all {len(group):,} cases"
+        yield Heading(f"{place + 1}. {text}: {note}", 3, bad=count["failed"] > 0)
+        yield from _table(plan, requirement, group)
 
 
-def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> Iterator[Block]:
-    ordered = sorted(found, key=lambda each: ORDER.index(each.outcome))
+def _table(plan: Plan, requirement: Requirement, verdicts: Sequence[Verdict]) -> Iterator[Block]:
+    ordered = sorted(verdicts, key=lambda case: ORDER.index(case.outcome))
     shown = ordered[:MAX_ROWS]
     of_mean = requirement.share is None
     limit = requirement.threshold if requirement.share is None else requirement.share
     least = not of_mean or requirement.at_least is not None  # the interval must lie above the limit
-    span = span_of([limit, *(or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
+    span = span_of([limit, *(or_nan(value) for case in shown for value in (case.estimate, case.low, case.high))])
     span = span if of_mean else (max(0.0, span[0]), min(1.0, span[1]))
     keys, groups = varying(plan), groups_of(plan, requirement)
-    levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
+    levels = ", ".join(dict.fromkeys(percent(case.confidence) for case in shown)) or percent(requirement.confidence)
     share = "share of seeds" if requirement.known_at_m is None else "share of approaches"
     interval = f"{'mean' if of_mean else share} [interval, each end {levels}]"
     interval = "worst run" if of_mean and requirement.of_time else interval
@@ -223,28 +223,28 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
     axis = f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side}"
     header = ("tracker", *key_columns(keys), *groups, "outcome", interval, axis, *OFTEN_EMPTY, "seeds")
 
-    def row(each: Verdict) -> Row:
-        ends = ChartInterval(or_nan(each.estimate), or_nan(each.low), or_nan(each.high))
-        said = three_digits_with_interval(each.estimate, ends.low, ends.high)
-        label = f"{said} against {three_digits(limit)}"
+    def row(case: Verdict) -> Row:
+        ends = ChartInterval(or_nan(case.estimate), or_nan(case.low), or_nan(case.high))
+        estimate = three_digits_with_interval(case.estimate, ends.low, ends.high)
+        label = f"{estimate} against {three_digits(limit)}"
         return (
-            each.tracker,
-            *condition_cells(plan, each.condition, keys),
-            *(str(each.values[group]) for group in groups),
-            SIGNS[each.outcome],
-            said,
+            case.tracker,
+            *condition_cells(plan, case.condition, keys),
+            *(str(case.values[group]) for group in groups),
+            SIGNS[case.outcome],
+            estimate,
             Cell("", draw=partial(strip, ends, limit, least, span, label)),
-            *(f"{count:,}" for count in (each.crashed, each.nothing, each.undefined, each.seeds)),
+            *(f"{count:,}" for count in (case.crashed, case.nothing, case.undefined, case.seeds)),
         )
 
-    rows = [row(each) for each in shown]
+    rows = [row(case) for case in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
-    bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
-    table = Table("", names, kept, bad, notes={place: _note(each, limit) for place, each in enumerate(shown)})
+    bad = {place for place, case in enumerate(shown) if case.outcome == "failed"}
+    table = Table("", names, kept, bad, notes={place: _note(case, limit) for place, case in enumerate(shown)})
     if len(rows) > MAX_OPEN:
-        first = sum(each.outcome != "met" for each in shown)
+        first = sum(case.outcome != "met" for case in shown)
         yield Fold(f"All {counted(len(rows), 'verdict')}, failed ones first", [table], 0 < first <= MAX_OPEN)
-    elif all(each.outcome == "met" for each in found):
+    elif all(case.outcome == "met" for case in verdicts):
         yield Fold(f"{counted(len(rows), 'verdict')}, all met", [table])
     else:
         yield table
@@ -252,18 +252,18 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
         yield Text(f"{len(ordered) - MAX_ROWS:,} more verdicts are in verdicts.json.", "soft")
 
 
-def _note(each: Verdict, limit: float) -> str:
+def _note(case: Verdict, limit: float) -> str:
     """Reason why a verdict is what it is, where that is more than its interval says as printed."""
-    if each.qualified or each.low is None or each.high is None:
-        return each.why
-    return each.why if three_digits(limit) in three_digits_with_interval(each.estimate, each.low, each.high) else ""
+    if case.qualified or case.low is None or case.high is None:
+        return case.why
+    return case.why if three_digits(limit) in three_digits_with_interval(case.estimate, case.low, case.high) else ""
 
 
 def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdict]]:
-    found: list[list[Verdict]] = [[] for _ in plan.keys.require]
-    for each in verdicts:
-        found[each.requirement].append(each)
-    return found
+    groups: list[list[Verdict]] = [[] for _ in plan.keys.require]
+    for verdict in verdicts:
+        groups[verdict.requirement].append(verdict)
+    return groups
 
 
 def _verb(count: int, outcome: Outcome) -> str:
@@ -300,5 +300,5 @@ def _files(folder: CampaignFolder) -> list[Input]:
     read = [path for path in files_of_campaign(folder) if path.is_file()]
     rows = [path for path in read if path.suffix in _ROWS]
     named = {FILE: "campaign file", PLAN: "plan with all checksums"}
-    found = [file_input(what, folder.path / name) for name, what in named.items() if (folder.path / name).is_file()]
-    return found + ([folder_input("rows of the runs", folder.path, rows)] if rows else [])
+    inputs = [file_input(what, folder.path / name) for name, what in named.items() if (folder.path / name).is_file()]
+    return inputs + ([folder_input("rows of the runs", folder.path, rows)] if rows else [])

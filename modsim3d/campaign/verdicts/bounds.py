@@ -123,11 +123,11 @@ def _lower(right: Mask, alpha: float) -> float:
     """Every share that is below that of some first seeds and has a capital of 1/α there is excluded."""
     if not len(right):
         return 0.0
-    found = np.cumsum(right) / np.arange(1, len(right) + 1)
+    shares = np.cumsum(right) / np.arange(1, len(right) + 1)
 
     def excluded(share: float) -> bool:
         capital = mixture_log_capital(right, share)
-        return bool(np.any((capital >= -math.log(alpha)) & (found > share)))
+        return bool(np.any((capital >= -math.log(alpha)) & (shares > share)))
 
     return lower_end(excluded, _HALVINGS)
 
@@ -233,8 +233,8 @@ def mean_bounds(worst: Array, best: Array, confidence: float, stop: str, limits:
 
 
 def _low(values: Array, alpha: float, limits: tuple[float, float]) -> float:
-    found = float(skewed_bounds(values, alpha, limits[1])) if np.all(np.isfinite(values)) else -math.inf
-    return max(found, limits[0]) if math.isfinite(found) else found
+    bound = float(skewed_bounds(values, alpha, limits[1])) if np.all(np.isfinite(values)) else -math.inf
+    return max(bound, limits[0]) if math.isfinite(bound) else bound
 
 
 def _scaled(values: Array, limits: tuple[float, float]) -> Array:
@@ -245,9 +245,9 @@ def _scaled(values: Array, limits: tuple[float, float]) -> Array:
 def _consistent(after: Callable[[int], Bounds], count: int) -> Bounds:
     """Bounds after all seeds, or after the most first ones whose bounds do not contradict each other. If they ever
     cross, which has the probability of an error, nothing that comes later moves them."""
-    found = after(count)
-    if found.low <= found.high:
-        return found
+    limits = after(count)
+    if limits.low <= limits.high:
+        return limits
     low, high = 0, count
     while high - low > 1:
         middle = (low + high) // 2

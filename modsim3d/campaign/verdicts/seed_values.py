@@ -23,10 +23,10 @@ from modsim3d.core.statistics import t_bounds
 
 def mean_of(values: Array, axis: int) -> Array:
     """The mean over an axis of what is no NaN; NaN where there is nothing."""
-    known = ~np.isnan(values)
-    count, total = known.sum(axis=axis), np.where(known, values, 0.0).sum(axis=axis)
-    found: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-    return found
+    valid = ~np.isnan(values)
+    count, total = valid.sum(axis=axis), np.where(valid, values, 0.0).sum(axis=axis)
+    mean: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +67,8 @@ class Runs:
     @property
     def rests_on(self) -> float | None:
         """The share that the score rests on, mean over the runs with something to follow; none if they crashed."""
-        known = np.where(self.crashed, 0, self.share)[self.crashed | ~np.isnan(self.share)]
-        return float(known.mean()) if len(known) else None
+        shares = np.where(self.crashed, 0, self.share)[self.crashed | ~np.isnan(self.share)]
+        return float(shares.mean()) if len(shares) else None
 
     def means(self, instead: float) -> Array:
         """Mean of each seed that is not undefined, with a value in place of lost runs, shape (m,). NaN stands for
@@ -113,17 +113,17 @@ class SeedRows:
         difference."""
         if case.minus is not None:
             both = (replace(case, tracker=tracker, minus=None) for tracker in (case.tracker, case.minus))
-            one, other = (self.runs_of(each, score, resting_on) for each in both)
+            one, other = (self.runs_of(side, score, resting_on) for side in both)
             return one.minus(other)
         facts, column = facts_of(score, case.group), self.columns(case)
         values, crashed = column(score), self._crashed[self._place(case)]
-        there = column(facts.expected) > 0
+        present = column(facts.expected) > 0
         if facts.of_faults:
-            there &= column("established") == 0
+            present &= column("established") == 0
         apart = self.columns(replace(case, part=None))("appearances" if score in WORLD_SCORES else "vessels")
         elsewhere = ~np.isnan(apart) & (score not in TIMES)  # where its tracks are
         share = np.where(elsewhere, 0.0, facts.basis.share(column))
-        nothing = np.isnan(values) & ((there & (facts.managed | facts.worst_undefined)) | elsewhere) & ~crashed
+        nothing = np.isnan(values) & ((present & (facts.managed | facts.worst_undefined)) | elsewhere) & ~crashed
         if resting_on is not None:
             nothing |= share < resting_on
         return Runs(np.where(nothing, np.nan, values), crashed, nothing, share)
@@ -141,11 +141,11 @@ class SeedRows:
 
     def approaches(self, case: Case) -> tuple[list[list[dict[str, Any]]], Mask]:
         """The approaches of each traffic seed of a case, and whether a run of it crashed, shape (s,)."""
-        there = APPROACHES in self._table.column_names
-        texts = self._table[APPROACHES].to_pylist() if there else [None] * len(self._table)
+        present = APPROACHES in self._table.column_names
+        texts = self._table[APPROACHES].to_pylist() if present else [None] * len(self._table)
         of_case = np.array(texts, dtype=object).reshape(self._shape)[self._place(case)]
-        found = [[each for text in seed if text for each in orjson.loads(text)] for seed in of_case]
-        return found, self._crashed[self._place(case)].any(axis=1)
+        by_seed = [[approach for text in seed if text for approach in orjson.loads(text)] for seed in of_case]
+        return by_seed, self._crashed[self._place(case)].any(axis=1)
 
     def _place(self, case: Case) -> tuple[slice | int, ...]:
         return (slice(None), case.condition, slice(None), case.tracker)
@@ -193,7 +193,7 @@ def _difference(plan: Plan, rows: SeedRows, score: str, condition: int, first: i
     whole = ~np.any(runs.lost, axis=1)
     differences = differences[whole[~runs.undefined]]
     low, high = _interval(plan, rows, runs, score)
-    labels = [each.label for each in plan.keys.trackers]
+    labels = [tracker.label for tracker in plan.keys.trackers]
     return PairedDifference(
         labels[first],
         labels[second],
@@ -228,7 +228,7 @@ def _variance_ratio(one: Runs, other: Runs, difference: Runs) -> float | None:
     if t_bounds(means, 0.5) is None:
         return None
     runs = (one, other, difference)
-    first, second, paired_variance = (float(each.values[both].mean(axis=1).var(ddof=1)) for each in runs)
+    first, second, paired_variance = (float(sample.values[both].mean(axis=1).var(ddof=1)) for sample in runs)
     return (first + second) / paired_variance
 
 
@@ -259,12 +259,12 @@ def counted_approaches(
 ) -> ApproachCounts:
     """Counts at a distance of the approaches of each seed, as rows have them, given which seeds had a run that crashed;
     `track` names the field with the distance from which on a vessel was known."""
-    every = [each for seed in seeds for each in seed]
-    came = [[each for each in seed if each["closest_m"] <= distance_m <= each["in_view_m"]] for seed in seeds]
-    known = [sum(each[track] >= distance_m for each in seed) for seed in came]
-    nearer = sum(each["closest_m"] <= distance_m and each["in_view_m"] < distance_m for each in every)
-    farther = sum(each["closest_m"] > distance_m for each in every)
-    numbers = np.array([[len(seed) for seed in came], known], dtype=np.float64)
+    every = [event for seed in seeds for event in seed]
+    came = [[event for event in seed if event["closest_m"] <= distance_m <= event["in_view_m"]] for seed in seeds]
+    hits = [sum(event[track] >= distance_m for event in seed) for seed in came]
+    nearer = sum(event["closest_m"] <= distance_m and event["in_view_m"] < distance_m for event in every)
+    farther = sum(event["closest_m"] > distance_m for event in every)
+    numbers = np.array([[len(seed) for seed in came], hits], dtype=np.float64)
     return ApproachCounts(numbers[0], numbers[1], crashed, nearer, farther)
 
 
@@ -276,7 +276,7 @@ def required_approaches(
     kind, track = requirement.kind, "one_track_m" if requirement.one_track else "known_m"
     low, high = kind.length_m or (0.0, np.inf)
     of_kind = [
-        [each for each in seed if low <= each["length_m"] < high and kind.label in (None, each["label"])]
+        [event for event in seed if low <= event["length_m"] < high and kind.label in (None, event["label"])]
         for seed in seeds
     ]
     return counted_approaches(of_kind, crashed, requirement.known_at_m, track)

@@ -83,12 +83,12 @@ def judge(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     for place, case in wording.cases_of_all(plan, of_time=True):
         requirement = plan.keys.require[place]
         verdicts.append((_of_time if requirement.share is None else _verdict)(plan, place, requirement, case, rows))
-    return tuple(sorted(verdicts, key=lambda each: each.requirement))
+    return tuple(sorted(verdicts, key=lambda verdict: verdict.requirement))
 
 
 def repeatable(plan: Plan, verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
     """The verdicts on scores: those on what runs took are others when a campaign is run again."""
-    return tuple(each for each in verdicts if not plan.keys.require[each.requirement].of_time)
+    return tuple(verdict for verdict in verdicts if not plan.keys.require[verdict.requirement].of_time)
 
 
 def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
@@ -103,8 +103,8 @@ def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     why += " on the machines that made them" if worst is not None else f" has {requirement.score}"
     why += f"; {counted(int(runs.crashed.sum()), 'run')} crashed" * bool(runs.crashed.any())
     why += ". Not repeatable: another run takes another time, and no probability goes with it."
-    found = _Finding(outcome, worst, UNKNOWN, why)
-    return _statement(plan, place, requirement, case, found, rows.seeds, int(runs.crashed.sum()))
+    finding = _Finding(outcome, worst, UNKNOWN, why)
+    return _statement(plan, place, requirement, case, finding, rows.seeds, int(runs.crashed.sum()))
 
 
 def _verdicts(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[Verdict, ...]:
@@ -135,19 +135,26 @@ class _Finding:
 
 
 def _statement(
-    plan: Plan, place: int, requirement: Requirement, case: Case, found: _Finding, seeds: int, crashed: int, **more: Any
+    plan: Plan,
+    place: int,
+    requirement: Requirement,
+    case: Case,
+    finding: _Finding,
+    seeds: int,
+    crashed: int,
+    **more: Any,
 ) -> Verdict:
     """The verdict, with `more` of its fields by name."""
-    low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
+    low, high = (bound if math.isfinite(bound) else None for bound in (finding.bounds.low, finding.bounds.high))
     return Verdict(
         place,
         wording.requirement_text(requirement, case.within),
         " − ".join(labels_of(plan, case)),
         case.condition,
-        found.outcome,
-        found.why,
+        finding.outcome,
+        finding.why,
         requirement.confidence,
-        found.estimate,
+        finding.estimate,
         low,
         high,
         seeds,
@@ -165,14 +172,14 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     group, undefined = case.group, int(runs.undefined.sum())
     of_mean = requirement.share is None
     own = rows.runs_of(replace(case, minus=None), requirement.score, requirement.resting_on)
-    found = _of_mean(requirement, runs, own, keys, group) if of_mean else _of_share(requirement, runs, keys)
+    finding = _of_mean(requirement, runs, own, keys, group) if of_mean else _of_share(requirement, runs, keys)
     impossible = wording.never_met(keys, requirement, group, undefined)
-    if found.outcome == "met" and impossible:
-        found = replace(found, outcome="undecided")
-    why = [found.why]
+    if finding.outcome == "met" and impossible:
+        finding = replace(finding, outcome="undecided")
+    why = [finding.why]
     if keys.stop == "once" and rows.seeds < keys.seeds.traffic:
-        found, why = _not_yet(found, requirement, runs, keys.seeds.traffic)
-    elif found.outcome == "undecided" and impossible:
+        finding, why = _not_yet(finding, requirement, runs, keys.seeds.traffic)
+    elif finding.outcome == "undecided" and impossible:
         why.append(f"This plan can never meet it: {impossible}.")
     why += _of_lost(runs, requirement, keys)
     why += _of_left_out(runs, requirement, wording.with_name(requirement.what) + case.within, keys.seed)
@@ -185,7 +192,7 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     if keys.level == "family":
         why.append(f"Judged at {wording.percent(requirement.confidence)}, by Holm for all verdicts together.")
     return _statement(
-        *(plan, place, requirement, case, replace(found, why=" ".join(why))),
+        *(plan, place, requirement, case, replace(finding, why=" ".join(why))),
         int(np.count_nonzero(~runs.undefined)),
         int(runs.crashed.sum()),
         nothing=int(runs.nothing.sum()),
@@ -220,19 +227,19 @@ def _false_tracks(plan: Plan, rows: SeedRows, case: Case) -> str:
     numbers = np.concatenate([rows.columns(case)(f"{where}false_tracks").ravel() for where in ("", "world_")])
     if not np.isfinite(numbers).any():
         return ""
-    limited = any("false_track" in each.score for each in plan.keys.require)
+    limited = any("false_track" in requirement.score for requirement in plan.keys.require)
     warning = "" if limited else ": no requirement limits them, and tracks everywhere would find every vessel"
     return f" {np.nanmean(numbers):,.3g} false tracks a run{warning}."
 
 
-def _not_yet(found: _Finding, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Finding, list[str]]:
+def _not_yet(finding: _Finding, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Finding, list[str]]:
     """Undecided, with the state so far and without bounds, which hold for one look only."""
     done, state = counted(len(runs.values), "traffic seed"), ""
-    if found.estimate is not None:
-        right = f"{100 * found.estimate:.4g} % right"
-        state = f", {f'mean {wording.rounded(found.estimate)}' if requirement.share is None else right} so far"
+    if finding.estimate is not None:
+        right = f"{100 * finding.estimate:.4g} % right"
+        state = f", {f'mean {wording.rounded(finding.estimate)}' if requirement.share is None else right} so far"
     why = f"{done} of {planned:,} {'is' if len(runs.values) == 1 else 'are'} done{state}; it is judged when all are."
-    return _Finding("undecided", found.estimate, UNKNOWN, why), [why]
+    return _Finding("undecided", finding.estimate, UNKNOWN, why), [why]
 
 
 def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> Iterator[str]:
@@ -313,10 +320,10 @@ def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys
     if hopeless or (estimate == math.inf and requirement.at_most is not None):
         outcome = "failed"
     name = wording.with_name(requirement.what)
-    said = f"the mean is {wording.rounded(estimate)}" if estimate is not None else f"no run has {name}"
+    phrase = f"the mean is {wording.rounded(estimate)}" if estimate is not None else f"no run has {name}"
     if estimate is not None and runs.lost.any():
-        said = f"the mean of the {len(seen):,} with a value is {wording.rounded(estimate)}"
-    why = f"Over {counted(len(worst), 'traffic seed')} {said}"
+        phrase = f"the mean of the {len(seen):,} with a value is {wording.rounded(estimate)}"
+    why = f"Over {counted(len(worst), 'traffic seed')} {phrase}"
     if bounds.known:
         why += f"; {_between(bounds, requirement)}."
     elif len(worst) < 2 and estimate is not None:
@@ -342,8 +349,8 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
     if math.isfinite(bounds.high):
         sides.append(f"at most {wording.rounded(bounds.high, math.ceil)}")
     what = "the true mean" if requirement.share is None else "the true share"
-    each = "each " if len(sides) == 2 else ""
-    return f"{what} is {' and '.join(sides)}, {each}with {wording.percent(requirement.confidence)} confidence"
+    prefix = "each " if len(sides) == 2 else ""
+    return f"{what} is {' and '.join(sides)}, {prefix}with {wording.percent(requirement.confidence)} confidence"
 
 
 def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterator[str]:
@@ -357,18 +364,18 @@ def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterat
         parts.append(f"in {counted(nothing, 'run')} the tracker gave nothing{too_little} to score")
     if not parts:
         return
-    said = " and ".join(parts)
-    said = said[0].upper() + said[1:] + (", of either tracker" if requirement.of is not None else "")
+    text = " and ".join(parts)
+    text = text[0].upper() + text[1:] + (", of either tracker" if requirement.of is not None else "")
     kind = "score" if requirement.of is None else "difference"
     if runs.lost[~runs.undefined].all():
-        yield f"{said}."
+        yield f"{text}."
     elif requirement.share is not None:
-        yield f"{said}: {'this counts' if crashed + nothing == 1 else 'these count'} as wrong."
+        yield f"{text}: {'this counts' if crashed + nothing == 1 else 'these count'} as wrong."
     elif math.isfinite(worst):
-        yield f"{said}: the bounds take the worst and the best possible {kind} in their place."
+        yield f"{text}: the bounds take the worst and the best possible {kind} in their place."
     else:
         yield (
-            f"{said}, and {wording.with_name(requirement.what)} has no worst possible value to take in their place: "
+            f"{text}, and {wording.with_name(requirement.what)} has no worst possible value to take in their place: "
             "it cannot be met. "
             "With `in` such runs are wrong, and others can be right."
         )

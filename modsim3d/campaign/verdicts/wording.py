@@ -59,8 +59,8 @@ def rounded(value: float, whole: Callable[[float], int] = round) -> str:
     decimals = max(0, _DIGITS - 1 - math.floor(math.log10(size)))
     scale = 10.0**decimals
     near = round(value * scale)
-    found = near if math.isclose(near, value * scale, rel_tol=1e-12) else whole(value * scale)
-    text = f"{found / scale:.{decimals}f}"
+    units = near if math.isclose(near, value * scale, rel_tol=1e-12) else whole(value * scale)
+    text = f"{units / scale:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
@@ -84,18 +84,18 @@ class Levels:
             return []
         looked = "however often the campaign is looked at" if self.sequential else "if the campaign is looked at once"
         looked += ", of means as far as it was measured" if self.measured else ""
-        found = [
+        texts = [
             f"A requirement that does not hold is called met with a probability of at most {_percent(self.met)}, and "
             f"one that holds is called failed with at most {_percent(self.failed)}, {looked}."
         ]
         if self.verdicts > 1 and self.family:
-            found.append(
+            texts.append(
                 f"The probability that one or more of the {self.verdicts:,} verdicts are met wrongly is at most "
                 f"{_percent(self.met)}, and that one or more failed wrongly at most {_percent(self.failed)}, by Holm."
             )
         elif self.verdicts > 1:
             count = f"{self.verdicts:,} verdicts"
-            found += [
+            texts += [
                 f"The probability that all {count} are met although one requirement does not hold is at most "
                 f"{_percent(self.all_met)}.",
                 f"The probability that one or more of the {count} are wrong is at most {_percent(self.any_wrong)}."
@@ -104,19 +104,19 @@ class Levels:
                 "one matters.",
             ]
         if self.measured:
-            found.append(
+            texts.append(
                 "Of means this is no proof: it was measured on campaigns that were drawn from real scores of four "
                 "traffics (docs/campaigns/sequences.md), and other traffics may be worse. A tracker that is lost in "
                 "one run in twenty, and in none of these, is not in it: a share of seeds with `in` is exact there too."
             )
-        return found
+        return texts
 
 
 def levels_of(plan: Plan) -> Levels:
     """The levels of a campaign."""
     errors = [1 - plan.keys.require[place].confidence for place, _ in cases_of_all(plan)]
     greatest, sequential = max(errors, default=0.0), plan.keys.stop == "sequential"
-    measured = not sequential and any(each.share is None for each in plan.keys.require if not each.of_time)
+    measured = not sequential and any(demand.share is None for demand in plan.keys.require if not demand.of_time)
     family = plan.keys.level == "family"
     total = min(sum(errors), 2 * greatest) if family else sum(errors)
     return Levels(len(errors), greatest, greatest, greatest, min(1.0, total), total, sequential, measured, family)
@@ -134,8 +134,8 @@ OFFERS = "mean_offers.json"  # beside this file; written by `script/campaign seq
 @cache
 def measured_offers() -> dict[str, Any]:
     """The confidences that were measured, and for each score, bound and confidence the least seeds; None: never."""
-    found: dict[str, Any] = json.loads(files(__package__).joinpath(OFFERS).read_text(encoding="utf-8"))
-    return found
+    offers: dict[str, Any] = json.loads(files(__package__).joinpath(OFFERS).read_text(encoding="utf-8"))
+    return offers
 
 
 def seeds_needed(column: str, bound: str, confidence: float) -> float:
@@ -148,7 +148,7 @@ def seeds_needed(column: str, bound: str, confidence: float) -> float:
         return math.inf
     above = next(place for place, level in enumerate(levels) if level >= confidence)
     around = seeds[above : above + 1] if levels[above] == confidence else seeds[above - 1 : above + 1]
-    return max(math.inf if each is None else each for each in around)
+    return max(math.inf if count is None else count for count in around)
 
 
 def offered_from(requirement: Requirement, group: str) -> float:
@@ -187,8 +187,8 @@ def _column(requirement: Requirement, group: str) -> str:
 def cases_of_all(plan: Plan, *, of_time: bool = False) -> list[tuple[int, Case]]:
     """The place of a requirement and a case of it, for each verdict: those on scores, or those on what runs took, which
     stand apart."""
-    required = [(place, each) for place, each in enumerate(plan.keys.require) if each.of_time == of_time]
-    return [(place, case) for place, each in required for case in cases_of(plan, each)]
+    required = [(place, demand) for place, demand in enumerate(plan.keys.require) if demand.of_time == of_time]
+    return [(place, case) for place, demand in required for case in cases_of(plan, demand)]
 
 
 def at_step(plan: Plan, place: int, count: int, taken: int) -> Requirement:
@@ -205,39 +205,39 @@ def stepped(count: int, holds: Callable[[int, int], bool]) -> dict[int, int]:
     the one at a place does, when so many others are known to hold. After Holm (1979), "A simple sequentially rejective
     multiple test procedure", Scand. J. Stat. 6, 65-70: all are tested with α/m; what holds leaves its part to the
     others, which are tested again with α/(m − k)."""
-    found: dict[int, int] = {}
-    while new := [place for place in range(count) if place not in found and holds(place, len(found))]:
-        found |= dict.fromkeys(new, len(found))
-    return found
+    steps: dict[int, int] = {}
+    while new := [place for place in range(count) if place not in steps and holds(place, len(steps))]:
+        steps |= dict.fromkeys(new, len(steps))
+    return steps
 
 
 def warnings_of(plan: Plan) -> list[str]:
     """Warnings about the requirements of a plan before it is run, a sentence each."""
-    found, cases = [], cases_of_all(plan)
+    warnings, cases = [], cases_of_all(plan)
 
     def reason_at(place: int, taken: int, group: str) -> str:
         return never_met(plan.keys, at_step(plan, place, len(cases), taken), group)
 
     family = len(cases) * (plan.keys.level == "family")
-    reached = stepped(family, lambda each, taken: not reason_at(cases[each][0], taken, cases[each][1].group))
+    reached = stepped(family, lambda index, taken: not reason_at(cases[index][0], taken, cases[index][1].group))
     for place, requirement in enumerate(plan.keys.require):
         if requirement.of_time and requirement.share is None:
             continue
         if reason := reason_at(place, len(reached), next(iter(groups_of(plan, requirement)), "")):
             text = requirement_text(requirement)
-            found.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")
+            warnings.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")
     if plan.keys.require and any(factor.latin_hypercube for factor in plan.keys.vary):
-        found.append(
+        warnings.append(
             "latin_hypercube: its points depend on each other, and the bounds of requirements take traffic seeds for "
             "independent. They are usually too wide then, but that is not certain; uniform has independent points"
         )
-    if plan.keys.uncertainty == "learned" and any(each.share is None for each in plan.keys.require):
-        found.append(
+    if plan.keys.uncertainty == "learned" and any(requirement.share is None for requirement in plan.keys.require):
+        warnings.append(
             "uncertainty: learned: a mean is one over all detectors that the labelled set allows, so its interval "
             "becomes narrow with many traffic seeds, however small the set is; a share of seeds with `in` says how "
             "many of these detectors are good enough"
         )
-    return found
+    return warnings
 
 
 def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefined: int = 0) -> str:

@@ -73,10 +73,10 @@ def checked(file: CampaignFile) -> CheckedCampaign:
         raise InputError(source, too_large)
     file, notes = _with_scenes(file)
     trackers = [
-        each.model_copy(update={"files": argument_files(each.command, file.base)})
-        if each.command is not None and each.files is None  # files that it makes are not its own
-        else each
-        for each in file.keys.trackers
+        tracker.model_copy(update={"files": argument_files(tracker.command, file.base)})
+        if tracker.command is not None and tracker.files is None  # files that it makes are not its own
+        else tracker
+        for tracker in file.keys.trackers
     ]
     keys = file.keys.model_copy(update={"trackers": trackers})
     file = replace(file, keys=keys)
@@ -84,10 +84,10 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     paths, plugins = set[Path](), set[Plugin]()
     wrong_keys = [*_vary_problems(keys)]
     problems = [*_problems(keys), *wrong_keys, *_twice(plan), *_scene_problems(file)]
-    known = None if wrong_keys else _with_known_trackers(plan, file.base, problems)
-    facts = [*_facts_of_all(known, scenes, paths, plugins, problems)] if known else []
+    valid_plan = None if wrong_keys else _with_known_trackers(plan, file.base, problems)
+    facts = [*_facts_of_all(valid_plan, scenes, paths, plugins, problems)] if valid_plan else []
     if len(facts) == len(plan.conditions):
-        problems += requirement_problems(plan, [{STATE: each.states, CAMERA: each.cameras} for each in facts])
+        problems += requirement_problems(plan, [{STATE: fact.states, CAMERA: fact.cameras} for fact in facts])
     else:  # no more can be said of the requirements yet
         for place, requirement in enumerate(keys.require):
             problems += score_problems(requirement, f"require[{place}]")
@@ -99,7 +99,7 @@ def checked(file: CampaignFile) -> CheckedCampaign:
         raise InputError(source, dict.fromkeys(problems))
     content = {
         "campaign": keys.model_dump(mode="json", by_alias=True),
-        "conditions": [{"values": each.values, **asdict(it)} for each, it in zip(plan.conditions, facts, strict=True)],
+        "conditions": [{"values": cell.values, **asdict(it)} for cell, it in zip(plan.conditions, facts, strict=True)],
         "files": checksums(paths, file.base),
         "plugins": own,
         "versions": packages,
@@ -128,16 +128,16 @@ def _with_scenes(file: CampaignFile) -> tuple[CampaignFile, tuple[str, ...]]:
     are wrong, or it cannot be written."""
     scenes, notes, beside = list(file.keys.scenes), list[str](), file.path.resolve().with_suffix("")
     for place, videos in file.videos.items():
-        scene, said = _scene_of(videos, file)
-        notes += [f"{videos.called}: {note}" for note in said]
+        scene, remarks = _scene_of(videos, file)
+        notes += [f"{videos.called}: {note}" for note in remarks]
         folder = beside.with_name(f"{beside.name}_scenes") / f"{videos.called}-{scene.copy.sha256()[:12]}"
         try:
             if not folder.is_dir():
                 with put_folder_in_place(folder, "*") as partial:
                     scene.copy.write(partial)
         except (OSError, OutputError) as error:
-            told = f"a scene is made of them in {folder}, which cannot be written ({error}): copy the campaign file"
-            raise InputError(f"scenes: {videos.truth}", [f"{told} and the labels to a folder of your own"]) from None
+            hint = f"a scene is made of them in {folder}, which cannot be written ({error}): copy the campaign file"
+            raise InputError(f"scenes: {videos.truth}", [f"{hint} and the labels to a folder of your own"]) from None
         scenes[place] = str((folder / f"{videos.called}.json").relative_to(file.base))
     return replace(file, keys=file.keys.model_copy(update={"scenes": scenes})), tuple(notes)
 
@@ -168,8 +168,8 @@ def _scene_of(videos: LabelledVideos, file: CampaignFile) -> tuple[Scene, tuple[
             horizon=videos.horizon,
         )
     except InputError as error:
-        told = error.reworded({rf"(?<!\S){option}": key for option, key in _KEYS.items()})
-        raise InputError(f"scenes: {videos.truth}", [f"{told.source}: {each}" for each in told.problems]) from None
+        fault = error.reworded({rf"(?<!\S){option}": key for option, key in _KEYS.items()})
+        raise InputError(f"scenes: {videos.truth}", [f"{fault.source}: {line}" for line in fault.problems]) from None
     except ModsimError as error:
         raise InputError(f"scenes: {videos.truth}", [str(error)]) from None
 
@@ -205,14 +205,14 @@ def _scene_problems(file: CampaignFile) -> Iterator[str]:
 
 def _with_known_trackers(plan: Plan, base: Path, problems: list[str]) -> Plan:
     """The plan with the trackers that are there and take their settings; those of the others go to the problems."""
-    known = []
-    for place, each in enumerate(plan.keys.trackers):
+    usable = []
+    for place, tracker in enumerate(plan.keys.trackers):
         try:
-            tracker_of(each, {}, None, base).origin  # noqa: B018
-            known.append(each)
+            tracker_of(tracker, {}, None, base).origin  # noqa: B018
+            usable.append(tracker)
         except ModsimError as error:
             problems += tracker_problems(place, error)
-    trackers = known or [TrackerKeys(tracker="reference")]
+    trackers = usable or [TrackerKeys(tracker="reference")]
     return replace(plan, keys=plan.keys.model_copy(update={"trackers": trackers}))
 
 
@@ -242,15 +242,15 @@ def _facts_of_all(
                 readings.setdefault(key, []).append(problem)
             if place < len(first):
                 yield facts
-    problems += [found[0] for found in readings.values() if all(found)]
+    problems += [texts[0] for texts in readings.values() if all(texts)]
 
 
 def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
     """Values at the ends of each range that is drawn from or searched, and each choice, a key at a time."""
     drawn = [factor.ranges for factor in keys.vary]
     for ranges in (*drawn, keys.search.over if keys.search else {}):
-        for key, each in ranges.items():
-            for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
+        for key, span in ranges.items():
+            for value in span.choices if span.choices is not None else (value_at(span, 0.0), value_at(span, 1 - 1e-12)):
                 yield {key: value}
 
 
@@ -263,13 +263,13 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
             "stop: sequential needs draws that do not depend on each other, and those of latin_hypercube do: use "
             "uniform, or stop: once"
         )
-    if keys.stop == "sequential" and all(each.of_time for each in keys.require):
+    if keys.stop == "sequential" and all(requirement.of_time for requirement in keys.require):
         other = "those on what runs took do not repeat, and decide nothing" if keys.require else "there is no require"
         yield f"stop: sequential ends when the requirements are decided, and {other}"
-    sure = sorted({each.confidence for each in keys.require})
+    sure = sorted({requirement.confidence for requirement in keys.require})
     if keys.level == "family" and len(sure) > 1:
-        said = " and ".join(f"{each:g}" for each in sure)
-        yield f"level: family has one confidence for all requirements, and these have {said}"
+        levels = " and ".join(f"{level:g}" for level in sure)
+        yield f"level: family has one confidence for all requirements, and these have {levels}"
     yield from search_problems(keys)
     try:
         rules_of(keys.score)
@@ -278,14 +278,14 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
 
 
 def _vary_problems(keys: CampaignKeys) -> Iterator[str]:
-    found = [key for factor in keys.vary for key in _keys_of(factor)]
-    for key in dict.fromkeys(found):
-        if found.count(key) > 1:
+    names = [key for factor in keys.vary for key in _keys_of(factor)]
+    for key in dict.fromkeys(names):
+        if names.count(key) > 1:
             yield f"vary: '{key}' is varied by two factors: put its values into one"
         if key in _ELSEWHERE:
             yield f"vary: '{key}' cannot be varied here: the key {_ELSEWHERE[key]} of the campaign is for that"
     for key in keys.settings:
-        if key in found:
+        if key in names:
             yield f"set: '{key}' is in vary too"
         if key in _ELSEWHERE:
             yield f"set: '{key}' cannot be set here: the key {_ELSEWHERE[key]} of the campaign is for that"
@@ -315,11 +315,11 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
     _check_lookout(scene, plan.keys)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
-    named = {each.label: tracker_of(each, settings, scene.name, scenes.folder) for each in plan.keys.trackers}
-    for each in named.values():
-        if isinstance(each.tracker, CommandTracker):
-            paths |= {path.resolve() for path in each.tracker.paths().values()}
-    plugins.update(scene.plugins, (each.plugin for each in named.values() if each.plugin))
+    named = {keys.label: tracker_of(keys, settings, scene.name, scenes.folder) for keys in plan.keys.trackers}
+    for entry in named.values():
+        if isinstance(entry.tracker, CommandTracker):
+            paths |= {path.resolve() for path in entry.tracker.paths().values()}
+    plugins.update(scene.plugins, (entry.plugin for entry in named.values() if entry.plugin))
     return ConditionFacts(
         scene.name,
         scene.copy.truth_sha256(),
@@ -328,7 +328,7 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
         scene.traffic_has_seed,
         tuple(state.name for state in scene.detector.states),
         tuple(camera.name for camera in scene.cameras),
-        {label: vars(each.origin) for label, each in named.items()},
+        {label: vars(entry.origin) for label, entry in named.items()},
     )
 
 
@@ -336,14 +336,17 @@ def _space_problems(plan: Plan, base: Path) -> Iterator[str]:
     """Scores of tracks in the images that are required of trackers in the world, and the reverse. Where the tracks of a
     program are is not known before it runs."""
     keys, places = plan.keys, ("in the images", "in the world")
-    trackers = [tracker_of(each, {}, None, base).tracker for each in keys.trackers]
-    world = [None if isinstance(each, CommandTracker) else isinstance(each, WorldTracker) for each in trackers]
-    asked = {(f"require[{place}].score", each.score): cases_of(plan, each) for place, each in enumerate(keys.require)}
+    trackers = [tracker_of(entry, {}, None, base).tracker for entry in keys.trackers]
+    world = [None if isinstance(tracker, CommandTracker) else isinstance(tracker, WorldTracker) for tracker in trackers]
+    asked = {
+        (f"require[{place}].score", requirement.score): cases_of(plan, requirement)
+        for place, requirement in enumerate(keys.require)
+    }
     if keys.search is not None:
         asked["search", keys.search.minimise or keys.search.maximise or ""] = [Case(0, 0)]
     for (where, score), cases in asked.items():
         of_world = score in WORLD_SCORES
-        able = [each.label for each, its in zip(keys.trackers, world, strict=True) if its in (None, of_world)]
+        able = [entry.label for entry, its in zip(keys.trackers, world, strict=True) if its in (None, of_world)]
         named = dict.fromkeys(at for case in cases for at in (case.tracker, case.minus) if at is not None)
         for label in (keys.trackers[at].label for at in named if score not in (KNOWN, *TIMES)):
             if label not in able:
@@ -355,10 +358,10 @@ def _check_lookout(scene: Scene, keys: CampaignKeys) -> None:
     """Raise ModsimError where a lookout requirement is about no vessel of a scene."""
     if keys.lookout and not scene.own_ships:
         raise ModsimError(f"{scene.title}: no vessel carries a camera, so known_at_m has no own ship: leave it out")
-    for label in (each.kind.label for each in keys.require if each.kind and each.kind.label):
+    for label in (demand.kind.label for demand in keys.require if demand.kind and demand.kind.label):
         if label not in scene.detector.labels:
-            known = nearest(label, scene.detector.labels)
-            raise ModsimError(f"{scene.title}: of.label of known_at_m: there is no label {shown(label)} ({known})")
+            hint = nearest(label, scene.detector.labels)
+            raise ModsimError(f"{scene.title}: of.label of known_at_m: there is no label {shown(label)} ({hint})")
 
 
 def _check_labels(scene: Scene, of_detector: Mapping[str, Any], keys: CampaignKeys) -> None:

@@ -50,8 +50,8 @@ class Bins:
 
     def counts(self, values: Array) -> dict[str, int]:
         """Number of values in each bin, by the name of its column; those that are not finite are left out."""
-        found = np.bincount(self.place(values[np.isfinite(values)]), minlength=len(self.edges) + 1)
-        return dict(zip(self.names, found.tolist(), strict=True))
+        counts = np.bincount(self.place(values[np.isfinite(values)]), minlength=len(self.edges) + 1)
+        return dict(zip(self.names, counts.tolist(), strict=True))
 
 
 RANGES = Bins("covered.frames.range_", "m", (100, 200, 500, 1000, 2000, 5000))
@@ -112,14 +112,14 @@ def coverage_of(rows: RunRows) -> dict[str, int | float]:
     Of a labelled video the last two are missing, and a range is the labels' distance, if they have one.
     """
     visible = rows.numbers("visible_px") != 0  # where it is unknown, a vessel in the image is taken as seen
-    known = rows.scene.labels is None
-    poses = tuple(_camera_poses(rows)) if known else ()
+    synthetic = rows.scene.labels is None
+    poses = tuple(_camera_poses(rows)) if synthetic else ()
     numbers = {
         **_encounters(rows, visible),
         **_sights(rows, visible, poses),
         **_occlusions(rows),
-        **(_waves(rows.scene) if known else {}),
-        **({"covered.camera_roll_rad": max(_roll_rad(each) for each in poses)} if known else {}),
+        **(_waves(rows.scene) if synthetic else {}),
+        **({"covered.camera_roll_rad": max(_roll_rad(pose) for pose in poses)} if synthetic else {}),
     }
     return {name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in numbers.items()}
 
@@ -149,7 +149,7 @@ def _sights(rows: RunRows, visible: Mask, poses: tuple[CameraPoses, ...]) -> dic
     vessel = rows.truth_vessel[visible]
     range_m = rows.numbers("depth_m")[visible]
     if scene.labels is None:
-        places_m = np.stack([each.positions_m[:, :2] for each in poses])
+        places_m = np.stack([pose.positions_m[:, :2] for pose in poses])
         centres_m = scene.poses.poses(0, rows.steps).positions_m[..., :2]
         range_m = np.hypot(*(centres_m[step, vessel] - places_m[camera, step]).T)
     box = rows.annotated_boxes_px[visible]
@@ -181,10 +181,10 @@ def _occlusions(rows: RunRows) -> dict[str, int | float]:
     identity, length_s = appearances(rows, DEFAULT_GAP_S), frame_lengths_s(rows, rows.truth_frame)
     time_s = rows.scene.times_s(0, rows.steps)[rows.truth_frame // len(rows.scene.cameras)]
     order = np.lexsort((rows.truth_frame, identity))
-    known = np.cumsum(~np.isnan(fraction[order]))  # a vessel without a pixel has no visible fraction
+    ordinal = np.cumsum(~np.isnan(fraction[order]))  # a vessel without a pixel has no visible fraction
     occluded = np.flatnonzero(fraction[order] < OCCLUDED_BELOW)
-    found = stretches(identity[order][occluded], known[occluded])
-    first, last = order[occluded[found.first]], order[occluded[found.last]]
+    spans = stretches(identity[order][occluded], ordinal[occluded])
+    first, last = order[occluded[spans.first]], order[occluded[spans.last]]
     lasted_s = np.round(time_s[last] + length_s[last] - time_s[first], _DECIMALS)
     return {**OCCLUSIONS.counts(lasted_s), "covered.hidden_s": float(length_s[fraction == 0].sum())}
 

@@ -65,11 +65,11 @@ class TruthLayer:
             return self.made
         table = self.with_detected(pa.nulls(len(self.table), pa.bool_()))
         step = integer_column(table, "step")
-        found = []
+        blocks = []
         for first, stop in step_ranges(self.scene):
             low, high = np.searchsorted(step, (first, stop)).tolist()
-            found.append((truth_of(table.slice(low, high - low), self.scene), first, stop))
-        return found
+            blocks.append((truth_of(table.slice(low, high - low), self.scene), first, stop))
+        return blocks
 
     @cached_property
     def table(self) -> pa.Table:
@@ -103,8 +103,8 @@ def rows_of(stored: Mapping[str, pa.Table], truth: TruthLayer, scene: Scene) -> 
     detected = stored[DETECTED]
     if len(detected) != len(truth.table):
         return None
-    found = {"frames": stored["frames"], "detections": stored["detections"]}
-    return RunRows.of_tables(scene, scene.steps, {**found, "truth": truth.with_detected(detected[DETECTED])})
+    content = {"frames": stored["frames"], "detections": stored["detections"]}
+    return RunRows.of_tables(scene, scene.steps, {**content, "truth": truth.with_detected(detected[DETECTED])})
 
 
 def tracks_of_table(table: pa.Table, scene: Scene) -> Tracks:
@@ -242,13 +242,13 @@ class RunLayers:
         tracks_key = digest(detections_key, vars(named.origin), *plugin)
         if not self._keys.timed:
             return LayeredRun(rows, self._tracks_of(rows, named, tracks_key), truth_key, detections_key, tracks_key)
-        found = run_tracker(named, rows)
-        self._keep(found.tracks, rows.scene, tracks_key)
-        took: dict[str, Any] = {f"frame_ms_{name}": value for name, value in found.frame_ms.items()}
-        took["peak_memory_mb"] = found.peak_memory_mb
+        output = run_tracker(named, rows)
+        self._keep(output.tracks, rows.scene, tracks_key)
+        took: dict[str, Any] = {f"frame_ms_{name}": value for name, value in output.frame_ms.items()}
+        took["peak_memory_mb"] = output.peak_memory_mb
         if run.number < len(self._keys.trackers) and isinstance(named.tracker, CommandTracker):
-            took["repeats"] = same_tracks(found.tracks, run_tracker(named, rows).tracks)
-        return LayeredRun(rows, found.tracks, truth_key, detections_key, tracks_key, took)
+            took["repeats"] = same_tracks(output.tracks, run_tracker(named, rows).tracks)
+        return LayeredRun(rows, output.tracks, truth_key, detections_key, tracks_key, took)
 
     def _open(self, scene: Scene) -> IdRenderer | None:
         """The renderer of the process, which is opened once; None if the scene needs none."""
@@ -264,10 +264,10 @@ class RunLayers:
         stored = self._stored.read("detections", key, DETECTIONS)
         if stored is not None and (rows := rows_of(stored, truth, scene)) is not None:
             return rows
-        found = detected_tables(scene, truth.blocks)
+        content = detected_tables(scene, truth.blocks)
         if self._stored.keeps("detections"):
-            self._stored.write("detections", key, stored_detections(found))
-        return RunRows.of_tables(scene, scene.steps, found)
+            self._stored.write("detections", key, stored_detections(content))
+        return RunRows.of_tables(scene, scene.steps, content)
 
     def _truth_of(self, scene: Scene, renderer: IdRenderer | None, key: str) -> TruthLayer:
         """The truth, from the disk if it is there."""
@@ -299,7 +299,7 @@ class RunLayers:
 def same_tracks(one: Tracks | WorldTracks, other: Tracks | WorldTracks) -> bool:
     """Whether two trackers have said the same, number for number."""
     return type(one) is type(other) and all(
-        np.array_equal(each, getattr(other, name), equal_nan=each.dtype.kind == "f")
-        for name, each in vars(one).items()
-        if isinstance(each, np.ndarray)
+        np.array_equal(column, getattr(other, name), equal_nan=column.dtype.kind == "f")
+        for name, column in vars(one).items()
+        if isinstance(column, np.ndarray)
     )

@@ -18,52 +18,52 @@ def _where_problems(requirement: Requirement, where: str, plan: Plan, parts: Map
     """Problems of values in `where` that no run has: a requirement about no run would never be judged. The argument
     `where` is the place of the requirement in the file, and `parts` the names of the parts of all runs, by what divides
     them."""
-    known, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [each.label for each in plan.keys.trackers]
-    found = [
+    keys, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [tracker.label for tracker in plan.keys.trackers]
+    problems = [
         f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"
         for key, label in (("of", requirement.of), ("minus", requirement.minus))
         if label is not None and label not in labels
     ]
     if len(groups := groups_of(plan, requirement)) > 1:
         named = " and ".join(groups)
-        found.append(f"{where}.where: {named} each divide the runs, and only one may: leave all but one out")
+        problems.append(f"{where}.where: {named} each divide the runs, and only one may: leave all but one out")
     for key, values in wanted_of(requirement).items():
-        if key not in known:
-            found.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})")
+        if key not in keys:
+            problems.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, keys)})")
         elif key in plan.drawn:
-            found.append(f"{where}.where.{key}: is drawn for each traffic seed and selects nothing: leave it out")
+            problems.append(f"{where}.where.{key}: is drawn for each traffic seed and selects nothing: leave it out")
         elif not values:
-            found.append(f"{where}.where.{key}: names no value")
+            problems.append(f"{where}.where.{key}: names no value")
         else:
             possible = parts[key] if key in groups else _possible(key, plan)
-            names = [str(each) for each in possible]
-            missing = [each for each in values if not any(same(other, each) for other in possible)]
+            names = [str(value) for value in possible]
+            missing = [value for value in values if not any(same(other, value) for other in possible)]
             if key in groups:  # YAML reads the name 1 as a number
-                missing = [each for each in values if str(each) not in names]
-            found += [
-                f"{where}.where.{key}: there is no {shown(each)} ({nearest(str(each), names)})" for each in missing
+                missing = [value for value in values if str(value) not in names]
+            problems += [
+                f"{where}.where.{key}: there is no {shown(value)} ({nearest(str(value), names)})" for value in missing
             ]
-    if not found and not cases_of(plan, requirement):
-        found.append(f"{where}.where: no condition has these values together")
-    yield from found
+    if not problems and not cases_of(plan, requirement):
+        problems.append(f"{where}.where: no condition has these values together")
+    yield from problems
 
 
 def _possible(key: str, plan: Plan) -> list[Any]:
     """The values that runs of the campaign have of a key, each once."""
     if key == TRACKER:
         return [tracker.label for tracker in plan.keys.trackers]
-    found: list[Any] = []
+    values: list[Any] = []
     for value in (value_of(condition, key) for condition in plan.conditions):
-        if not any(same(value, each) for each in found):
-            found.append(value)
-    return found
+        if not any(same(value, other) for other in values):
+            values.append(value)
+    return values
 
 
 def score_problems(requirement: Requirement, where: str) -> Iterator[str]:
     """A score that is not there."""
-    score, known = requirement.score, (*SCORES, *WORLD_SCORES, *TIMES, RECALL)
-    if score not in known and requirement.known_at_m is None:
-        yield f"{where}.score: there is no score '{score}' ({nearest(score, known)})"
+    score, names = requirement.score, (*SCORES, *WORLD_SCORES, *TIMES, RECALL)
+    if score not in names and requirement.known_at_m is None:
+        yield f"{where}.score: there is no score '{score}' ({nearest(score, names)})"
 
 
 def _judging_problems(
@@ -89,7 +89,7 @@ def _judging_problems(
         return
     cases = cases_of(plan, requirement)
     for part, condition in dict.fromkeys((case.part, case.condition) for case in cases if case.part):
-        every = [each.get(part.group, ()) for each in divisions]
+        every = [division.get(part.group, ()) for division in divisions]
         if not any(part.name in names for names in every):
             continue  # `_where_problems` says so, or all runs have it
         whose = f"{where}.where.{part.group}: the {'detector' if part.group == STATE else 'scene'} of condition"
@@ -109,7 +109,7 @@ def _lookout_problems(requirement: Requirement, where: str, plan: Plan) -> Itera
 
 def requirement_problems(plan: Plan, divisions: Sequence[Mapping[str, Names]]) -> Iterator[str]:
     """Problems of all requirements, given the names of states and cameras of the conditions that can be run."""
-    parts = {**BINS, **{key: sorted({name for each in divisions for name in each[key]}) for key in (STATE, CAMERA)}}
+    parts = {**BINS, **{key: sorted({name for names in divisions for name in names[key]}) for key in (STATE, CAMERA)}}
     for place, requirement in enumerate(plan.keys.require):
         where = f"require[{place}]"
         yield from score_problems(requirement, where)

@@ -84,11 +84,11 @@ def row_of(number: int, made: LayeredRun, keys: ScoreKeys, lookout: bool = False
         world = keys.in_world or WorldScoreKeys()
         cpa = {name: getattr(world, name) for name in ("right_m", "before_s", "alarm_m")}
         distance = SetDistance(world.gospa_c_m, world.gospa_p)
-        found = score_world(made.rows, made.tracks, world.gate_m, distance, cpa=cpa).flat()
+        values = score_world(made.rows, made.tracks, world.gate_m, distance, cpa=cpa).flat()
         if lookout:
             following = follow_in_world(WorldTruth.of(made.rows), made.tracks, world.gate_m)
             row[APPROACHES] = _approaches_text(made.rows, tracks_in_world(made.rows, following))
-        return row | {world_column(name): found[name] for name in found if world_column(name) in WORLD_SCORES}
+        return row | {world_column(name): values[name] for name in values if world_column(name) in WORLD_SCORES}
     scene, scored = made.rows.scene, ScoredRun.of(made.rows, made.tracks, rules_of(keys))
     scores = scores_of(scored)
     row |= {"worst_s": worst_moment_s(scored), **keys_of(scores)}
@@ -151,9 +151,9 @@ def _bins(group: Group) -> dict[str, Any]:
     """The columns of a group whose bins are the same in every run, also of bins without vessel-frames."""
     keys = _BIN_KEYS if group.name == "occlusion" else _BIN_KEYS[:2]
     none = dict.fromkeys((name for _, name in keys), 0) | {"recall": None, "survived": None}
-    found = {each.bin: vars(each) for each in group.rows}
+    by_bin = {row.bin: vars(row) for row in group.rows}
     return {
-        f"{group.name}.{name}.{key}": found.get(name, none)[value]
+        f"{group.name}.{name}.{key}": by_bin.get(name, none)[value]
         for name in BINS.get(group.name, ())
         for key, value in keys
     }
@@ -319,14 +319,14 @@ def without_tracks(score: str, keys: ScoreKeys, column: Columns) -> Array | None
         return np.full_like(column("frames"), value)
     vessel_frames, alone = column("true_positives") + column("misses"), keys.gospa_c**keys.gospa_p / 2
     missed = alone * vessel_frames / column("frames")
-    found = {
+    scores = {
         "misses": vessel_frames,
         "mostly_lost": column("appearances"),
         "gospa_missed": missed,
         "gospa": missed ** (1 / keys.gospa_p),  # at most, by Jensen's inequality; exact for p = 1
         "ospa": np.full_like(missed, keys.gospa_c),  # at most
     }
-    return found.get(score)
+    return scores.get(score)
 
 
 def score_bounds(score: str, keys: ScoreKeys) -> tuple[float, float]:
@@ -357,9 +357,9 @@ def search_problems(keys: CampaignKeys) -> Iterator[str]:
         return
     search, plan = keys.search, Plan.of(keys)
     score = search.minimise or search.maximise or ""
-    if score not in (known := (*SCORES, *WORLD_SCORES)):
+    if score not in (names := (*SCORES, *WORLD_SCORES)):
         name = "minimise" if search.minimise is not None else "maximise"
-        yield f"search.{name}: there is no score '{score}' ({nearest(score, known)})"
+        yield f"search.{name}: there is no score '{score}' ({nearest(score, names)})"
     if (count := len(plan.conditions)) > 1:
         yield f"search: needs one scene and one condition, and there are {count}: search each in a campaign of its own"
     if plan.drawn:

@@ -45,7 +45,7 @@ def truth_digest(scene: Scene, backend: str) -> str:
 def plan_digest(facts: Mapping[str, Any]) -> str:
     """Digest of all that decides the results, given the content of `plan.json`."""
     campaign = {key: value for key, value in facts["campaign"].items() if key != "keep"}  # which decides no row
-    conditions = [{key: value for key, value in each.items() if key != "values"} for each in facts["conditions"]]
+    conditions = [{key: value for key, value in entry.items() if key != "values"} for entry in facts["conditions"]]
     plugins = [facts["plugins"]] if facts.get("plugins") else []
     return digest(campaign, conditions, facts["versions"], *plugins)
 
@@ -116,11 +116,11 @@ class LruCache(Generic[T]):
 
     def get(self, key: str, make: Callable[[], T]) -> T:
         """Value of the key, made if it is not there."""
-        found = self._kept.pop(key) if key in self._kept else make()
-        self._kept[key] = found  # the last one from now on
+        value = self._kept.pop(key) if key in self._kept else make()
+        self._kept[key] = value  # the last one from now on
         if len(self._kept) > self._most:
             del self._kept[next(iter(self._kept))]
-        return found
+        return value
 
 
 @dataclass(frozen=True)
@@ -195,9 +195,9 @@ class Scenes:
             return choice
         scene = find_scene(resolve(condition.scene, self.folder, shipped_scenes()))
         named = digest(str(scene), choice.detector, choice.state, choice.state_from)
-        file, known = self._known.get(named, lambda: _uncertainty(choice.file(scene)))
+        file, uncertainty = self._known.get(named, lambda: _uncertainty(choice.file(scene)))
         try:
-            drawn = drawn_detector(known, seed)
+            drawn = drawn_detector(uncertainty, seed)
         except ModsimError as error:
             raise InputError(f"detector {file}", [str(error)]) from None
         within = tuple(f"{key}." for key in choice.settings)

@@ -121,8 +121,8 @@ class Worker:
         except OutputError:  # the disk is full: that says nothing about the run
             raise
         except Exception as error:
-            problem, said = error_and_said(error)
-            return crashed_row(run.number, problem, **({SAID: said} if said and work.keys.timed else {}))
+            problem, message = error_and_said(error)
+            return crashed_row(run.number, problem, **({SAID: message} if message and work.keys.timed else {}))
 
     def _layers_of(self, work: Work) -> RunLayers:
         made_of = f"{work.plan_sha256} {work.layers}"
@@ -140,7 +140,7 @@ def changes(work: Work) -> list[str]:
 def _check_unchanged(work: Work) -> None:
     if problems := changes(work):
         own = "; what a program writes itself is not to be in its files"
-        written = own if any(each.command is not None for each in work.keys.trackers) else ""
+        written = own if any(tracker.command is not None for tracker in work.keys.trackers) else ""
         raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder{written}")
 
 
@@ -202,11 +202,11 @@ def condition_problems(condition: Condition, error: ModsimError, section: str = 
         yield f"{_in_words(condition)}: {error}"
         return
     for problem in error.problems:
-        said = f"{error.source}: {problem}"
+        text = f"{error.source}: {problem}"
         longest_first = sorted(condition.all_values, key=len, reverse=True)
-        key = next((key for key in longest_first if _is_about(key, problem, said)), None)
+        key = next((key for key in longest_first if _is_about(key, problem, text)), None)
         if key is None:
-            yield f"{_in_words(condition)}: {said}"
+            yield f"{_in_words(condition)}: {text}"
         else:
             source = f" ({error.source})" if layer_of(key) == "tracks" else ""
             place = section if key in condition.values else "set"
@@ -219,10 +219,10 @@ def key_readings(condition: Condition, detector: DetectorModel, searched: Collec
     """Each key of a condition's detector, and why that does not read it; empty if it does."""
     values = condition.all_values
     paths = {key.removeprefix("detector."): key for key in values if key.startswith("detector.")}
-    found = unread_settings(detector, paths, [key.removeprefix("detector.") for key in searched]) if paths else {}
+    reasons = unread_settings(detector, paths, [key.removeprefix("detector.") for key in searched]) if paths else {}
     for path, key in paths.items():
         place = "set" if key in condition.fixed else "search.over" if key in searched else "vary"
-        yield key, f"{place}: {key} {shown(values[key])}: {found[path]}" if path in found else ""
+        yield key, f"{place}: {key} {shown(values[key])}: {reasons[path]}" if path in reasons else ""
 
 
 def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:
@@ -231,11 +231,11 @@ def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:
         yield f"trackers[{place}]: {problem.removeprefix('--set ')}"
 
 
-def _is_about(key: str, problem: str, said: str) -> bool:
+def _is_about(key: str, problem: str, text: str) -> bool:
     """Whether a problem, or what is said with its source, is about a key."""
     if layer_of(key) == "tracks":
         return problem.startswith(f"{_option_of(key)}:")
-    return _option_of(key) in said
+    return _option_of(key) in text
 
 
 def _option_of(key: str) -> str:

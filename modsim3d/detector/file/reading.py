@@ -79,7 +79,7 @@ def agreement_problems(file: DetectorFile) -> list[str]:
 def _dropout_problems(file: DetectorFile) -> list[str]:
     """The effects of states are of the shared model, which has effects at all."""
     model = file.dropout.model
-    if model != "confusion" and not any(each.effects() for each in (file.dropout, *_own_dropout(file).values())):
+    if model != "confusion" and not any(section.effects() for section in (file.dropout, *_own_dropout(file).values())):
         return [f"dropout: model {model} needs at least one of {', '.join(ATTRIBUTES)}"]
     misfits = {name: own.misfit(model) for name, own in _own_dropout(file).items()}
     anchored = "anchor state_rate holds the state's rate whatever it is: choose anchor none, or leave it out"
@@ -123,13 +123,13 @@ def _rate_problems(file: DetectorFile) -> list[str]:
     if FALSE_POSITIVE_MODELS[keys.model].rate_key == "false_positives_per_image":
         if keys.rate is not None or all(given.values()):
             return []
-        missing = ", ".join(name for name, there in given.items() if not there)
+        missing = ", ".join(name for name, own_rate in given.items() if not own_rate)
         return [
             f"false_positives.rate: model {keys.model} needs it, or false_positives_per_image in each state (missing "
             f"in {missing})"
         ]
     unused = [] if keys.rate is None else ["false_positives.rate"]
-    unused += [f"states.{name}.false_positives_per_image" for name, there in given.items() if there]
+    unused += [f"states.{name}.false_positives_per_image" for name, own_rate in given.items() if own_rate]
     works = "set false_discovery_rate of the states, or choose per_image"
     return [f"{path}: model {keys.model} has none: {works}" for path in unused] + [
         f"states.{name}.false_discovery_rate: missing: model {keys.model} reads it"
@@ -156,12 +156,12 @@ def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[
     if curve is None:
         return []
     recall, precision = curve[-1]
-    found = [1 - rate for rate in state.confusion[-1]]
+    recalls = [1 - rate for rate in state.confusion[-1]]
     problems = []
-    if not min(found) - RATE_TOLERANCE <= recall <= max(found) + RATE_TOLERANCE:
+    if not min(recalls) - RATE_TOLERANCE <= recall <= max(recalls) + RATE_TOLERANCE:
         problems.append(
             f"{path}.confidence.precision_recall: ends at recall {recall:g}, but the confusion matrix detects "
-            + " to ".join(f"{rate:g}" for rate in dict.fromkeys((min(found), max(found))))
+            + " to ".join(f"{rate:g}" for rate in dict.fromkeys((min(recalls), max(recalls))))
             + " of the vessels: a curve ends at the recall that the detector has"
         )
     rate = state.false_discovery_rate if FALSE_POSITIVE_MODELS[file.false_positives.model].counts_second_boxes else None
@@ -424,20 +424,20 @@ def _section(section: Any, shared: Any, rate: float, where: str) -> Any:
         return section
     if matrix.ndim != 2 or len(matrix) < 2:
         return section
-    found = matrix[:-1].sum(axis=0)
-    if np.any(found <= 0):
-        column = int(np.argmax(found <= 0))
+    recalls = matrix[:-1].sum(axis=0)
+    if np.any(recalls <= 0):
+        column = int(np.argmax(recalls <= 0))
         raise InputError(
             where, [f"column {column} of its confusion matrix has nothing but misses, so no miss rate fits"]
         )
-    rows = np.vstack([matrix[:-1] * ((1 - rate) / found), np.full(matrix.shape[1], rate)])
+    rows = np.vstack([matrix[:-1] * ((1 - rate) / recalls), np.full(matrix.shape[1], rate)])
     return {**section, "confusion": np.round(rows, 12).tolist()} | _intercept(section.get("dropout"), shared, rate)
 
 
 def _intercept(own: Any, shared: Any, rate: float) -> dict[str, Any]:
     """Intercept with which the mean rate over the learning set is `rate`; empty without log-odds of that set."""
     key = "learned_log_odds"
-    source = next((each for each in (own, shared) if isinstance(each, Mapping) and key in each), None)
+    source = next((section for section in (own, shared) if isinstance(section, Mapping) and key in section), None)
     try:
         learned = [np.array(quantiles, dtype=np.float64) for quantiles in source[key]] if source else []
     except (TypeError, ValueError):

@@ -31,10 +31,10 @@ def matrix_problems(rows: Rows, shape: tuple[int, int], meaning: str) -> list[st
     lengths = {len(row) for row in rows}
     if len(lengths) > 1:
         return [f"its rows have different lengths: {', '.join(str(len(row)) for row in rows)}"]
-    found = (len(rows), lengths.pop() if lengths else 0)
-    if found == shape:
+    size = (len(rows), lengths.pop() if lengths else 0)
+    if size == shape:
         return []
-    return [f"is {found[0]} × {found[1]}, must be {shape[0]} × {shape[1]}: {meaning}"]
+    return [f"is {size[0]} × {size[1]}, must be {shape[0]} × {shape[1]}: {meaning}"]
 
 
 def _sums_to_one(sums: Array) -> bool:
@@ -78,7 +78,7 @@ def confusion_problems(rows: Rows, labels: Sequence[str]) -> list[str]:
     if wrong_shape:
         return [f"{wrong_shape[0]}; {_FROM_FIGURES}"] if rows and len(rows) == len(rows[0]) else wrong_shape
     problems = column_problems(rows, labels)
-    return [f"{each}; {_MISS_RATE}" for each in problems[:1]] + problems[1:]
+    return [f"{problem}; {_MISS_RATE}" for problem in problems[:1]] + problems[1:]
 
 
 _FROM_FIGURES = "modsim3d learn --from-figures makes a detector file of a confusion matrix as programs print it"
@@ -229,7 +229,7 @@ def with_covariance(section: Any) -> Any:
         return section
     std = section["std"]
     numbers = std if isinstance(std, list) else [std] * len(ERROR_COMPONENTS)
-    plain = [each for each in numbers if isinstance(each, int | float) and not isinstance(each, bool)]
+    plain = [number for number in numbers if isinstance(number, int | float) and not isinstance(number, bool)]
     if len(plain) != len(numbers) or len(numbers) != len(ERROR_COMPONENTS) or not all(0 <= x < 1e9 for x in plain):
         wanted = f"a number from 0 is needed, or a list of one for each of {', '.join(ERROR_COMPONENTS)}"
         raise ValueError(f"std: {wanted} (got {shown(std)})")

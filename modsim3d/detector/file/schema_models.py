@@ -152,7 +152,7 @@ class BoxMemorySection(Strict):
             raise ValueError(
                 f"has {len(self.shares)} lists of shares and {len(self.times_s)} times_s: one belongs to each"
             )
-        for key, numbers in [("vessel_share", self.vessel_share), *(("shares", each) for each in self.shares)]:
+        for key, numbers in [("vessel_share", self.vessel_share), *(("shares", shares) for shares in self.shares)]:
             if len(numbers) not in (4, 5) or len(numbers) != len(self.vessel_share):
                 raise ValueError(
                     f"{key} has {len(numbers)} numbers, must have one each for e_x, e_y, e_w, e_h, and may have one "

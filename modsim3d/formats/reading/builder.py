@@ -76,13 +76,13 @@ class Problems:
             return []
         if self.skip:
             return [f"{self.source}: {self.count} entries left out, the first because {self.lines[0]}"]
-        told = list(self.lines)
+        lines = list(self.lines)
         if self.count >= MAX_BAD_ENTRIES:
-            told.append(f"... {self.count:,} in all so far; the rest was not read. --skip-bad leaves such entries out")
+            lines.append(f"... {self.count:,} in all so far; the rest was not read. --skip-bad leaves such entries out")
         elif self.count > MAX_PROBLEMS:
-            told.append(f"... and {self.count - MAX_PROBLEMS} more; --skip-bad leaves all such entries out")
-        told += [self.hint] if self.hint else []
-        raise InputError(self.source, told)
+            lines.append(f"... and {self.count - MAX_PROBLEMS} more; --skip-bad leaves all such entries out")
+        lines += [self.hint] if self.hint else []
+        raise InputError(self.source, lines)
 
 
 def is_number(value: Any, least: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> TypeGuard[float]:
@@ -174,7 +174,7 @@ class AnnotationRows(_Rows):
     def identities(self) -> tuple[Any, ...]:
         """All identities, in the order in which they appear."""
         of_rows = (attributes[2] for attributes in self.attributes)
-        return tuple(dict.fromkeys(each for each in of_rows if each is not None))
+        return tuple(dict.fromkeys(identity for identity in of_rows if identity is not None))
 
     def annotations(self) -> Annotations:
         """The rows as columns, ordered by image; identities are numbered in the order in which they appear."""
@@ -185,7 +185,7 @@ class AnnotationRows(_Rows):
             *self._columns(),
             ignored=np.array(ignored, dtype=bool),
             crowd=np.array(crowd, dtype=bool),
-            identity=np.array([NOBODY if each is None else numbers[each] for each in identity], dtype=np.int64),
+            identity=np.array([NOBODY if name is None else numbers[name] for name in identity], dtype=np.int64),
             visible_fraction=np.array(visible, dtype=np.float64),
             depth_m=np.array(depth_m, dtype=np.float64),
             in_frame_fraction=np.array(in_frame, dtype=np.float64),
@@ -326,7 +326,7 @@ def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
             files[key].append(row)
         for key in names_of | {path.stem} | number:
             stems[key].append(row)
-    by_file, by_stem = ({key: rows[0] for key, rows in each.items() if len(rows) == 1} for each in (files, stems))
+    by_file, by_stem = ({key: rows[0] for key, rows in index.items() if len(rows) == 1} for index in (files, stems))
     return by_file, by_stem
 
 
@@ -354,25 +354,25 @@ class Confidences:
         InputError if none is given, and they are to be scaled."""
         low, high = scale or (0.0, 1.0)
         rows = [(where, float(value)) for where, value in values if is_number(value)]
-        known = [(where, value) for where, value in rows if value != NOT_GIVEN]
-        if rows and not known and scale:
+        scores = [(where, value) for where, value in rows if value != NOT_GIVEN]
+        if rows and not scores and scale:
             raise InputError(problems.source, [f"--confidence-scale: every {name} is -1, which means not given"])
-        if known and not all(low <= value <= high for _, value in known):
-            found = [value for _, value in rows]
-            problems.hint = problems.hint or _hint(min(found), max(found), name)
-            if all(value == int(value) for value in found):
+        if scores and not all(low <= value <= high for _, value in scores):
+            numbers = [value for _, value in rows]
+            problems.hint = problems.hint or _hint(min(numbers), max(numbers), name)
+            if all(value == int(value) for value in numbers):
                 problems.hint = f"whole numbers may be tracks or classes, not {name}s; if not so, {problems.hint}"
-        inside = next((f"{where} has {value:g}" for where, value in known if low <= value <= high), "")
-        whole = all(low <= value <= high for _, value in known)
-        odd, values_known = "", {value for _, value in known}
+        inside = next((f"{where} has {value:g}" for where, value in scores if low <= value <= high), "")
+        whole = all(low <= value <= high for _, value in scores)
+        odd, values_known = "", {value for _, value in scores}
         if len(rows) >= _MANY and scale is None:
             if values_known == {1}:
-                odd = f"all {len(known):,} {name}s are 1: if that is the number of a track, {name}s are missing"
+                odd = f"all {len(scores):,} {name}s are 1: if that is the number of a track, {name}s are missing"
             elif values_known == {0, 1}:
-                odd = f"all {len(known):,} {name}s are 0 or 1: if these are flags, {name}s are missing"
-            elif not known:
+                odd = f"all {len(scores):,} {name}s are 0 or 1: if these are flags, {name}s are missing"
+            elif not scores:
                 odd = f"all {len(rows):,} {name}s are -1, which means not given"
-        return cls(name, low, high, bool(known) or not rows, inside if whole else "", odd)
+        return cls(name, low, high, bool(scores) or not rows, inside if whole else "", odd)
 
     @property
     def notes(self) -> list[str]:

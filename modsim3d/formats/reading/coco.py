@@ -38,12 +38,12 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
         raise InputError(problems.source, ["categories: is empty, must name at least one"])
     rows_of, images, sequences = _images(content, frame_rate_hz, problems)
     annotations, results = builder.AnnotationRows(), builder.ResultRows()
-    known = KnownNames(rows_of, {}, categories)
+    lookup = KnownNames(rows_of, {}, categories)
     for index, entry in enumerate(_list(content, "annotations", problems)):
-        _annotation(entry, f"annotations[{index}]", known, annotations, problems)
+        _annotation(entry, f"annotations[{index}]", lookup, annotations, problems)
     notes = problems.settle()
     if detections is not None:
-        notes += _read_results(detections, known, images.names, options, results)
+        notes += _read_results(detections, lookup, images.names, options, results)
     numbered = any(isinstance(entry, dict) and _FRAME & entry.keys() for entry in content["images"])
     if numbered and frame_rate_hz is None and any(map(math.isnan, images.time_s)):
         notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
@@ -96,16 +96,16 @@ class KnownNames:
 
 
 def _read_results(
-    detections: Path, known: KnownNames, names: Sequence[str], options: ReadOptions, rows: builder.ResultRows
+    detections: Path, lookup: KnownNames, names: Sequence[str], options: ReadOptions, rows: builder.ResultRows
 ) -> list[str]:
     """Append the results of a file; remarks on them."""
     problems, entries = Problems(f"detections {detections}", options.skip_bad), _results(detections)
-    images = builder.image_names(entries, known.images, names)
-    known = KnownNames.of_results(entries, images, known.categories, options.category_offset, problems)
+    images = builder.image_names(entries, lookup.images, names)
+    lookup = KnownNames.of_results(entries, images, lookup.categories, options.category_offset, problems)
     scores = ((f"[{index}]", entry.get("score")) for index, entry in enumerate(entries) if isinstance(entry, dict))
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score")
     for index, entry in enumerate(entries):
-        _result(entry, f"[{index}]", known, rows, confidences, problems)
+        _result(entry, f"[{index}]", lookup, rows, confidences, problems)
     return [*filter(None, [images.doubt]), *problems.settle(), *confidences.notes]
 
 
@@ -150,18 +150,18 @@ def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]
 
 def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
     """Name and label of each category's ID, in the order of the file. Raises InputError if they are none."""
-    known: dict[Any, tuple[str, int]] = {}
+    categories: dict[Any, tuple[str, int]] = {}
     names = set[str]()
     for index, entry in enumerate(_list(content, "categories", problems)):
         where = f"categories[{index}]"
         identity, name = (entry.get("id"), entry.get("name")) if isinstance(entry, dict) else (None, None)
         if not _is_id(identity) or isinstance(identity, str) or not isinstance(name, str) or not name:
             raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
-        if identity in known or name in names:
+        if identity in categories or name in names:
             raise InputError(problems.source, [f"{where}: id {identity} or name {shown(name)} appears twice"])
         names.add(name)
-        known[identity] = (name, len(known))
-    return known
+        categories[identity] = (name, len(categories))
+    return categories
 
 
 def _images(
@@ -195,7 +195,7 @@ def _image(
     problems: Problems,
 ) -> bool:
     """Append an image, whose sequence is numbered; False with a problem if it cannot be used."""
-    known, given = problems.count, [entry.get("width"), entry.get("height")]
+    count, given = problems.count, [entry.get("width"), entry.get("height")]
     size_px = [float(side) for side in given if is_number(side, _MIN_PX, builder.MAX_PX)]
     if len(size_px) < 2:
         got = f"{shown(given[0])} and {shown(given[1])}"
@@ -215,7 +215,7 @@ def _image(
     if sea is None:
         wanted = "a row, [left, right], its rows at both edges, or [x1, y1, x2, y2], in pixels"
         problems.add(f"{where}: horizon must be {wanted} (got {shown(entry['horizon'])})")
-    if time_s is None or sea is None or problems.count > known:
+    if time_s is None or sea is None or problems.count > count:
         return False
     number = sequences.setdefault(sequence, len(sequences))
     images.add(str(name), size_px, number, time_s, None if condition is None else str(condition), sea)
@@ -240,13 +240,13 @@ def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | No
     return float(time) if is_number(time) else None
 
 
-def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
+def _named(entry: Mapping[str, Any], key: str, table: Mapping[Any, Any], where: str, problems: Problems) -> Any:
     """The value that an entry refers to by a key; None with a problem if there is no such value."""
     value = entry.get(key)
-    if (isinstance(value, str) or is_number(value)) and value in known:
-        return known[value]
+    if (isinstance(value, str) or is_number(value)) and value in table:
+        return table[value]
     # The search for similar names takes long: not for problems that will not be shown, and not among very many.
-    searched = map(shown, islice(known, _MAX_NAMES))
+    searched = map(shown, islice(table, _MAX_NAMES))
     hint = f" ({nearest(shown(value), searched)})" if problems.count < builder.MAX_PROBLEMS else ""
     problems.add(f"{where}: unknown {key} {shown(value)}{hint}" if key in entry else f"{where}: {key} is missing")
     return None
@@ -290,8 +290,8 @@ def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | 
     return identity if identity >= 0 else None
 
 
-def _annotation(entry: Any, where: str, known: KnownNames, rows: builder.AnnotationRows, problems: Problems) -> None:
-    place = known.place(entry, where, problems)
+def _annotation(entry: Any, where: str, lookup: KnownNames, rows: builder.AnnotationRows, problems: Problems) -> None:
+    place = lookup.place(entry, where, problems)
     if place is None:
         return
     before = problems.count
@@ -305,15 +305,15 @@ def _annotation(entry: Any, where: str, known: KnownNames, rows: builder.Annotat
 
 
 def _result(
-    entry: Any, where: str, known: KnownNames, rows: builder.ResultRows, confidences: Confidences, problems: Problems
+    entry: Any, where: str, lookup: KnownNames, rows: builder.ResultRows, confidences: Confidences, problems: Problems
 ) -> None:
-    place = known.place(entry, where, problems)
+    place = lookup.place(entry, where, problems)
     if place is None:
         return
     score, given = confidences.read(entry.get("score"), where, problems), entry.get("probabilities")
     if score is None:
         return
-    count = len(known.categories)
+    count = len(lookup.categories)
     if given is not None and not (
         isinstance(given, list) and len(given) == count and all(is_number(value, 0, 1) for value in given)
     ):

@@ -37,15 +37,15 @@ def read_kitti(condition: str, truth: Path, detections: Path | None, options: Re
     problems, wrong = problems_of(truth, detections, options)
     labels = list(_lines(truth, "ground truth", _SCORE, problems))
     results = list(_lines(detections, "detections", _SCORE + 1, wrong)) if detections else []
-    found = {name for _, name, _ in (*labels, *results)} - {REGION}
-    names = options.labels or (*TYPES, *sorted(found - set(TYPES)))
+    types = {name for _, name, _ in (*labels, *results)} - {REGION}
+    names = options.labels or (*TYPES, *sorted(types - set(TYPES)))
     number_of = {name: float(number) for number, name in enumerate(names, 1)}
     beside = {name: number_of[other] for name, other in NEIGHBOURS.items() if other in names and name not in names}
     shares = any(row[_TRUNCATION] % 1 for _, _, row in labels)
     for where, _, row in labels:
         if shares and row[_TRUNCATION] > 1:
             problems.add(f"{where}: truncation must be a share up to 1, as in other lines (got {row[_TRUNCATION]:g})")
-    labels = [each for each in labels if not shares or each[2][_TRUNCATION] <= 1]
+    labels = [line for line in labels if not shares or line[2][_TRUNCATION] <= 1]
     annotated = [
         (where, [*_place(row), name in names, {**beside, **number_of}[name], *_attributes(row, shares)])
         for where, name, row in labels
@@ -53,7 +53,7 @@ def read_kitti(condition: str, truth: Path, detections: Path | None, options: Re
     ]
     regions = [(where, _place(row)) for where, name, row in labels if name == REGION]
     detected = [(where, [*_place(row), row[_SCORE], number_of[name]]) for where, name, row in results if name in names]
-    said = [
+    notes = [
         f"KITTI: occlusion is a class: {OCCLUSION}",
         "KITTI: truncation is the share outside the image where one in a file is no whole number, else a class: "
         "1 stands for 0.75 of a vessel inside, and 2 for 0.25",
@@ -61,20 +61,20 @@ def read_kitti(condition: str, truth: Path, detections: Path | None, options: Re
     ]
     if options.labels:
         near = f"; to be ignored: {', '.join(f'{name} beside {NEIGHBOURS[name]}' for name in beside)}" if beside else ""
-        said.append(f"KITTI: types other than {', '.join(names)} are left out{near}")
+        notes.append(f"KITTI: types other than {', '.join(names)} are left out{near}")
     in_words = dict(enumerate(names, 1))
-    lines = SequenceLines(annotated, detected if detections else None, regions, in_words, 0, said)
+    lines = SequenceLines(annotated, detected if detections else None, regions, in_words, 0, notes)
     return sequence_set(condition, truth, lines, options, problems, wrong)
 
 
 def chosen_types(given: tuple[str, ...], truth: Sequence[Path], detections: Sequence[Path]) -> tuple[str, ...]:
     """The types that are given; if none are, those that detections name. Raises InputError if no file has one."""
     in_truth, detected = (_types_in(paths) for paths in (truth, detections))
-    known = (*TYPES, *sorted((in_truth | detected) - set(TYPES)))
-    if unknown := [name for name in given if name not in known]:
-        wrong = (f"{shown(name)} is no type in the files ({nearest(name, known)})" for name in unknown)
+    types = (*TYPES, *sorted((in_truth | detected) - set(TYPES)))
+    if unknown := [name for name in given if name not in types]:
+        wrong = (f"{shown(name)} is no type in the files ({nearest(name, types)})" for name in unknown)
         raise InputError("--labels", list(wrong))
-    return given or tuple(name for name in known if name in detected)
+    return given or tuple(name for name in types if name in detected)
 
 
 def _types_in(paths: Sequence[Path]) -> set[str]:

@@ -45,8 +45,8 @@ def number_lines(
     cells = (cell for line in begin for cell in line[:MAX_LINE_CHARACTERS].split(separator))
     if begin and all(math.isnan(number_in(cell)) for cell in cells):
         form = "white space" if separator is None else f"'{separator}'"
-        told = f"its first lines hold no numbers, must be numbers with {form} between them{_why(begin[0], separator)}"
-        raise InputError(f"{what} {path}", [told])
+        fault = f"its first lines hold no numbers, must be numbers with {form} between them{_why(begin[0], separator)}"
+        raise InputError(f"{what} {path}", [fault])
     for index, line in enumerate(lines):
         if not line.strip():
             continue
@@ -129,19 +129,19 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     wrong; each problem names its line."""
     problems, wrong = problems_of(truth, detections, options)
     written = list(number_lines(truth, "ground truth", ",", 6, problems))
-    annotated, said = plain_lines(written, truth.name, problems)
+    annotated, notes = plain_lines(written, truth.name, problems)
     visdrone, detected = _is_visdrone(written), None
     regions = [line for line in annotated if visdrone and _class_of(line[1]) == 0]
     columns = 11 if visdrone else 9
     annotated = [(where, numbers[:columns]) for where, numbers in annotated if not visdrone or _class_of(numbers) != 0]
     if detections is not None:
         lines = number_lines(detections, "detections", ",", 7, wrong)
-        detected, found = plain_lines(lines, detections.name, wrong)
-        said += found
+        detected, remarks = plain_lines(lines, detections.name, wrong)
+        notes += remarks
     first, from_0 = _first_frame([(truth, annotated), (detections, detected or [])], options.first_frame)
     names = _class_names(annotated, detected, options.labels)
-    said += [*from_0, *_said_of_columns(annotated, names, truth.name, detected is not None, visdrone)]
-    lines_of = SequenceLines(annotated, detected, regions, names, first, said)
+    notes += [*from_0, *_said_of_columns(annotated, names, truth.name, detected is not None, visdrone)]
+    lines_of = SequenceLines(annotated, detected, regions, names, first, notes)
     return sequence_set(condition, truth, lines_of, options, problems, wrong)
 
 
@@ -160,14 +160,14 @@ def sequence_set(
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
     to_label = {number: order.index(name) for number, name in names.items()}
-    known = _Columns(
+    facts = _Columns(
         to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), lines.remarks, first
     )
-    annotations = _annotations(annotated, known, problems)
+    annotations = _annotations(annotated, facts, problems)
     labels = len(order) if detected else 1  # detections may be matched label by label
-    _add_regions(lines.regions, labels or 1, known, annotations, problems)
+    _add_regions(lines.regions, labels or 1, facts, annotations, problems)
     confidences = Confidences.of(((where, numbers[6]) for where, numbers in detected), options.confidence_scale, wrong)
-    results = _results(detected, known, confidences, wrong)
+    results = _results(detected, facts, confidences, wrong)
     notes = problems.settle() + wrong.settle() + confidences.notes
     rate_hz = options.frame_rate_hz or info.rate_hz
     if rate_hz is None:
@@ -205,23 +205,23 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
     wide = len(classed) > 0 and all(len(numbers) > 9 for _, numbers in classed)
     if wide and 2 * len(broken) > len(classed):
         where, got = broken[0][0], ", ".join(f"{number:g}" for number in broken[0][1][7:10])
-        told = f"{file}: columns eight to ten are places in the world, as in MOT15 ({where}: {got})"
-        return [(where, numbers[:7]) for where, numbers in lines], [f"{told}: neither class nor visibility is read"]
+        note = f"{file}: columns eight to ten are places in the world, as in MOT15 ({where}: {got})"
+        return [(where, numbers[:7]) for where, numbers in lines], [f"{note}: neither class nor visibility is read"]
     for where, numbers in broken:
         problems.add(f"{where}: class must be a whole number (got {numbers[7]:g})")
     lines = [(where, numbers) for where, numbers in lines if len(numbers) < 8 or numbers[7] == int(numbers[7])]
     ends = {(numbers[8], numbers[9]) for _, numbers in classed} if wide else {(-1.0, -1.0)}
-    told, cut = f"{file}: columns nine and ten are", [(where, numbers[:8]) for where, numbers in lines]
+    note, cut = f"{file}: columns nine and ten are", [(where, numbers[:8]) for where, numbers in lines]
     if not all(truncation in (0, 1) and occlusion in (0, 1, 2) for truncation, occlusion in ends):
         return lines, []
     if ends == {(1, 1)}:
-        return cut, [f"{told} 1 in every line, and not read as visibility"]
+        return cut, [f"{note} 1 in every line, and not read as visibility"]
     if _is_visdrone(lines):
         lines = [(where, _visdrone_row(row) if len(row) > 9 else row) for where, row in lines]
         inside = "truncation 1 stands for 0.75 of a vessel inside the image"
-        return lines, [f"{told} truncation and occlusion, as in VisDrone: {OCCLUSION}; {inside}"]
+        return lines, [f"{note} truncation and occlusion, as in VisDrone: {OCCLUSION}; {inside}"]
     zeros = f"(the ninth is 0 in {sum(numbers[8] == 0 for _, numbers in classed):,} of {len(classed):,} lines)"
-    return cut, [f"{told} truncation and occlusion, as in VisDrone, and not read as visibility {zeros}"]
+    return cut, [f"{note} truncation and occlusion, as in VisDrone, and not read as visibility {zeros}"]
 
 
 def _visdrone_row(row: list[float]) -> list[float]:
@@ -269,8 +269,8 @@ def _class_of(numbers: list[float]) -> int:
 def _class_names(annotated: Lines, detected: Lines | None, labels: tuple[str, ...]) -> dict[int, str]:
     """Names of the classes by number; none if detections name no classes. Without detections those of all from 1 to the
     largest number; none if no line names a class."""
-    found = {_class_of(numbers) for _, numbers in (*annotated, *(detected or ()))}
-    classes: Iterable[int] = sorted(number for number in found if 1 <= number <= _MAX_CLASSES)
+    codes = {_class_of(numbers) for _, numbers in (*annotated, *(detected or ()))}
+    classes: Iterable[int] = sorted(number for number in codes if 1 <= number <= _MAX_CLASSES)
     if detected is None:
         classes = range(1, max(classes, default=0) + 1)
     elif not any(_class_of(numbers) >= 1 for _, numbers in detected):
@@ -278,8 +278,8 @@ def _class_names(annotated: Lines, detected: Lines | None, labels: tuple[str, ..
     return {number: labels[number - 1] if number <= len(labels) else f"class_{number}" for number in classes}
 
 
-def _annotations(lines: Lines, known: _Columns, problems: Problems) -> builder.AnnotationRows:
-    rows = builder.AnnotationRows(partial(_corners, first=known.first))
+def _annotations(lines: Lines, facts: _Columns, problems: Problems) -> builder.AnnotationRows:
+    rows = builder.AnnotationRows(partial(_corners, first=facts.first))
     for where, numbers in lines:
         if not is_number(numbers[1], builder.NOT_GIVEN) or numbers[1] != int(numbers[1]):
             low = "-1 or more" if numbers[1] < builder.NOT_GIVEN else f"at most {builder.MAX_NUMBER:g}"
@@ -287,10 +287,10 @@ def _annotations(lines: Lines, known: _Columns, problems: Problems) -> builder.A
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None
-        if rows.has(int(numbers[0]) - known.first, identity):
+        if rows.has(int(numbers[0]) - facts.first, identity):
             problems.add(f"{where}: identity {identity} is in frame {numbers[0]:g} already")
             continue
-        place = _place(where, numbers, problems, known)
+        place = _place(where, numbers, problems, facts)
         if place is not None:
             before = problems.count
             visible, flag = (numbers[k] if len(numbers) > k and numbers[k] != _UNKNOWN else None for k in (8, 6))
@@ -308,20 +308,20 @@ def _annotations(lines: Lines, known: _Columns, problems: Problems) -> builder.A
     return rows
 
 
-def _add_regions(lines: Lines, labels: int, known: _Columns, rows: builder.AnnotationRows, problems: Problems) -> None:
+def _add_regions(lines: Lines, labels: int, facts: _Columns, rows: builder.AnnotationRows, problems: Problems) -> None:
     """Append regions that are to be ignored, for each of so many labels: half of a detection inside is enough."""
     for where, numbers in lines:
-        place = _place(where, [*numbers[:6], 0, next(iter(known.to_label), 0)], problems, known)
+        place = _place(where, [*numbers[:6], 0, next(iter(facts.to_label), 0)], problems, facts)
         for label in range(labels):
             if place is not None:
                 rows.add(replace(place, label=label), ignored=True, crowd=True)
 
 
-def _results(lines: Lines, known: _Columns, confidences: Confidences, problems: Problems) -> builder.ResultRows:
-    rows = builder.ResultRows(partial(_corners, first=known.first))
+def _results(lines: Lines, facts: _Columns, confidences: Confidences, problems: Problems) -> builder.ResultRows:
+    rows = builder.ResultRows(partial(_corners, first=facts.first))
     for where, numbers in lines:
         confidence = confidences.read(numbers[6], where, problems)
-        place = None if confidence is None else _place(where, numbers, problems, known)
+        place = None if confidence is None else _place(where, numbers, problems, facts)
         if place is not None and confidence is not None:
             rows.add(place, confidence)
     return rows
@@ -332,23 +332,23 @@ def _corners(boxes_px: Array, first: int) -> Array:
     return from_top_left(boxes_px) - first
 
 
-def _place(where: str, numbers: list[float], problems: Problems, known: _Columns) -> LabelledRow | None:
+def _place(where: str, numbers: list[float], problems: Problems, facts: _Columns) -> LabelledRow | None:
     """Image, label and box of a line; None with a problem if it has none."""
-    frame, number, to_label = numbers[0], _class_of(numbers), known.to_label
-    if not known.first <= frame <= known.most_frames or frame != int(frame):
-        span = f"from {known.first} to {known.most_frames}"
+    frame, number, to_label = numbers[0], _class_of(numbers), facts.to_label
+    if not facts.first <= frame <= facts.most_frames or frame != int(frame):
+        span = f"from {facts.first} to {facts.most_frames}"
         problems.add(f"{where}: frame must be a whole number {span} (got {frame:.15g})")
-        if known.most_frames < frame:
-            spanned = f"so few lines may span {known.most_frames:,} frames"
+        if facts.most_frames < frame:
+            spanned = f"so few lines may span {facts.most_frames:,} frames"
             problems.hint = f"{spanned}, and up to {MAX_FRAMES:,} where seqLength in a seqinfo.ini says so"
     elif number > _MAX_CLASSES:
         problems.add(f"{where}: class must be at most {_MAX_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
         got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
-        problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
-        problems.hint = next((told for told in known.remarks if told.startswith(where.partition(" line ")[0])), "")
+        problems.add(f"{where}: has no class in its eighth column, but {facts.classed} have (got {got})")
+        problems.hint = next((note for note in facts.remarks if note.startswith(where.partition(" line ")[0])), "")
     elif builder.valid_box(numbers[2:6], where, problems):
-        return LabelledRow(int(frame) - known.first, to_label[number] if to_label else 0, numbers[2:6])
+        return LabelledRow(int(frame) - facts.first, to_label[number] if to_label else 0, numbers[2:6])
     return None
 
 

@@ -43,8 +43,8 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
     labelled = _read(kinds[0], condition, truth, detections, options)
     form = _form(kinds[0], labelled)
     labelled = _plausible(labelled, form, truth, detections)
-    found, annotated = compared(labelled, form)
-    problem, files = misreading(*found), [f"detections {detections}", f"ground truth {truth}"]
+    boxes, annotated = compared(labelled, form)
+    problem, files = misreading(*boxes), [f"detections {detections}", f"ground truth {truth}"]
     if problem is None:
         problem, files = misreading(*annotated, only_forms=True), files[::-1]
     if problem:
@@ -63,8 +63,8 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
 
 def _read(kind: str, condition: str, truth: Path, detections: Path | None, options: ReadOptions) -> LabelledSet:
     if kind == "KITTI":
-        found = sequence_files(detections) if detections else []
-        options = replace(options, labels=chosen_types(options.labels, sequence_files(truth), found))
+        paths = sequence_files(detections) if detections else []
+        options = replace(options, labels=chosen_types(options.labels, sequence_files(truth), paths))
     read = {"COCO": read_coco, "KITTI": read_kitti, "MOT": read_mot, "YOLO": read_yolo}[kind]
     if truth.is_dir() and kind != "YOLO":
         return read_sequences(read, condition, truth, detections, options)
@@ -90,8 +90,8 @@ def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Pa
                 raise InputError(source, [problem.sentence])
             notes.append(f"{source}: {problem.sentence}")
     if hidden := int(((rows.visible_fraction == 0) & ~rows.ignored).sum()):
-        told = f"the visibility of {hidden:,} of {len(rows):,} boxes is 0: they count as fully hidden"
-        notes.append(f"ground truth {truth}: {told}; some programs write 0 where it is not known")
+        note = f"the visibility of {hidden:,} of {len(rows):,} boxes is 0: they count as fully hidden"
+        notes.append(f"ground truth {truth}: {note}; some programs write 0 where it is not known")
     return replace(labelled, notes=tuple(notes))
 
 
@@ -126,10 +126,10 @@ def compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, Kn
     image_found, found_px = results.image[rows], results.boxes_px[rows]
     reach_px = annotated_px[:, 2:].max(axis=0, initial=1.0)
     sized = replace(images, sizes_px=np.where(np.isnan(images.sizes_px), reach_px, images.sizes_px))
-    known, found = KnownBoxes("an annotation", image, annotated_px), _box_rows(sized, image_found, found_px, form)
-    yield found, known
-    some = found.spread()
-    near = np.unique(known.nearest(some.frame, form.boxes_px(some.numbers))[1])
+    truth, boxes = KnownBoxes("an annotation", image, annotated_px), _box_rows(sized, image_found, found_px, form)
+    yield boxes, truth
+    some = boxes.spread()
+    near = np.unique(truth.nearest(some.frame, form.boxes_px(some.numbers))[1])
     yield _box_rows(sized, image[near], annotated_px[near], form), KnownBoxes("a detection", image_found, found_px)
 
 
@@ -184,25 +184,25 @@ def read_sequences(
     """Read the files of a folder, each a sequence that is called as its file. Detections are in files of the same
     names. Tracks of different files are different things: they are called `FILE/TRACK`. If one file counts frames from
     0, all do. Raises InputError if a file has no detections, or is wrong."""
-    paths, found = sequence_files(truth), {path.name: path for path in sequence_files(detections)} if detections else {}
-    if detections and (missing := [path.name for path in paths if path.name not in found]):
-        told = f"{', '.join(missing[:5])}: no such file, and {truth} has it: without any detections it must be empty"
-        raise InputError(f"detections {detections}", [told])
-    parts = [read(path.stem, path, found.get(path.name), options) for path in paths]
+    paths, files = sequence_files(truth), {path.name: path for path in sequence_files(detections)} if detections else {}
+    if detections and (missing := [path.name for path in paths if path.name not in files]):
+        problem = f"{', '.join(missing[:5])}: no such file, and {truth} has it: without any detections it must be empty"
+        raise InputError(f"detections {detections}", [problem])
+    parts = [read(path.stem, path, files.get(path.name), options) for path in paths]
     if len(firsts := {part.ids.first_frame for part in parts if part.ids}) > 1:
         options = replace(options, first_frame=0)
-        parts = [read(path.stem, path, found.get(path.name), options) for path in paths]
+        parts = [read(path.stem, path, files.get(path.name), options) for path in paths]
     notes = [note for part in parts for note in part.notes]
-    if extra := sorted(found.keys() - {path.name for path in paths}):
+    if extra := sorted(files.keys() - {path.name for path in paths}):
         notes.append(f"{len(extra)} files of detections have no truth and are left out, the first is {shown(extra[0])}")
     whole = joined(parts)
     named = [(path.stem, part.ids) for path, part in zip(paths, parts, strict=True) if part.ids is not None]
     numbers = {name: ids.labels[k] for part in parts if (ids := part.ids) for k, name in enumerate(part.labels)}
     ids = FileIds(
-        tuple(f"{stem}/{image}" for stem, each in named for image in each.images),
+        tuple(f"{stem}/{image}" for stem, file_ids in named for image in file_ids.images),
         tuple(numbers[name] for name in whole.labels),
         tuple(stem for stem, _ in named),
-        tuple(f"{stem}/{identity}" for stem, each in named for identity in each.identities),
+        tuple(f"{stem}/{identity}" for stem, file_ids in named for identity in file_ids.identities),
         min(firsts),
     )
     images = replace(whole.images, condition=0 * whole.images.condition, source=0 * whole.images.source)

@@ -31,14 +31,14 @@ _ORIENTATION, _LYING = 274, (5, 6, 7, 8)  # tag of a photograph on how to rotate
 
 def images_in(folder: Path) -> dict[str, Path]:
     """Image files of a folder, by name without ending. Raises InputError if two images have the same name."""
-    found: dict[str, Path] = {}
+    images: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in ENDINGS:
             continue
-        if (stem := composed(path.stem)) in found:
-            raise InputError(f"folder {folder}", [f"{path.name} and {found[stem].name} have the same labels"])
-        found[stem] = path
-    return found
+        if (stem := composed(path.stem)) in images:
+            raise InputError(f"folder {folder}", [f"{path.name} and {images[stem].name} have the same labels"])
+        images[stem] = path
+    return images
 
 
 def image_size_px(path: Path) -> tuple[float, float]:
@@ -91,8 +91,8 @@ def read_yolo(condition: str, truth: Path, detections: Path | None, options: Rea
     annotations = _annotations(_files(folder), images, problems)
     results, remarks = _results(predicted, images, options.confidence_scale, wrong)
     notes = problems.settle() + wrong.settle() + remarks
-    found = {place.label for place in annotations.places + results.places}
-    numbers = sorted({*range(len(names)), *found})
+    labels = {place.label for place in annotations.places + results.places}
+    numbers = sorted({*range(len(names)), *labels})
     whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
     if nameless := [n for k, n in zip(numbers, whole, strict=True) if n == f"class_{k}" and n not in options.labels]:
         notes.append(f"{truth}: no name is known of {', '.join(nameless[:8])}: give --labels or {_LISTS[0]}")
@@ -119,8 +119,8 @@ def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> bu
     for image, where, numbers in _lines(paths, images, "labels", problems):
         track = numbers[-1] if len(numbers) > 5 else None
         if len(numbers) > 7 or (track is not None and not (0 <= track <= _MAX_TRACK and track == int(track))):
-            said = "must have 5: class, x, y, width, height, and then perhaps a confidence and a track, a whole number"
-            problems.add(f"{where}: has {len(numbers)} numbers, {said} (got {shown(numbers)})")
+            rule = "must have 5: class, x, y, width, height, and then perhaps a confidence and a track, a whole number"
+            problems.add(f"{where}: has {len(numbers)} numbers, {rule} (got {shown(numbers)})")
         elif track is not None and rows.has(image, int(track)):
             problems.add(f"{where}: track {track:g} is in the image already")
         elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
@@ -203,9 +203,9 @@ def _images(folder: Path, truth: Path) -> dict[str, Path]:
     parts = list(folder.parts)
     if "labels" in parts:
         last = len(parts) - 1 - parts[::-1].index("labels")
-        there = Path(*parts[:last], "images", *parts[last + 1 :])
-        if there.is_dir() and (found := images_in(there)):
-            return found
+        images = Path(*parts[:last], "images", *parts[last + 1 :])
+        if images.is_dir() and (files := images_in(images)):
+            return files
     return images_in(folder) or images_in(truth)
 
 

@@ -73,11 +73,11 @@ def _block_entries(
         size = sequence.size_px
         whole = Pixels.of([(part.silhouette, part.region) for part in parts], size)
         seen = Pixels.of([(part.visible, part.region) for part in parts], size)
-        counted, found = (truth.silhouette_px[row], truth.visible_px[row]), (whole.area, seen.area)
-        if counted != found:
+        counted, areas = (truth.silhouette_px[row], truth.visible_px[row]), (whole.area, seen.area)
+        if counted != areas:
             raise ModsimError(
-                f"vessel '{scene.vessels[vessel].name}' has {found[0]} pixels in the image of camera "
-                f"'{sequence.camera.name}' at step {steps[int(truth.frame[row]) - first]} and {found[1]} of them are "
+                f"vessel '{scene.vessels[vessel].name}' has {areas[0]} pixels in the image of camera "
+                f"'{sequence.camera.name}' at step {steps[int(truth.frame[row]) - first]} and {areas[1]} of them are "
                 f"visible, and the run counted {counted[0]:g} and {counted[1]:g}: the run was made with another OpenGL "
                 "or another version of modsim3d; run its scene again"
             )
@@ -228,8 +228,8 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
 def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
     """The content of a results file, as a tracker may read it: numbers are rounded, the most confident comes first."""
     results = labelled.results
-    found = anonymised(results.image, results.label, results.boxes_px, results.confidence)
-    columns = (column.tolist() for column in (found.frame, found.label, found.boxes_px, found.confidence))
+    rows = anonymised(results.image, results.label, results.boxes_px, results.confidence)
+    columns = (column.tolist() for column in (rows.frame, rows.label, rows.boxes_px, rows.confidence))
     entries = []
     for image, label, box, score in zip(*columns, strict=True):
         sides = [round(side, BOX_DECIMALS) for side in _sides(box)]

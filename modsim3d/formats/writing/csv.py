@@ -66,9 +66,9 @@ def _boxes(boxes_px: Array) -> Columns:
 
 def _detections(scene: Scene, sequence: CameraSequence, attitude: Attitude) -> Columns:
     """The detections of a camera, those of a frame in the order of `tracker_input_CAMERA.jsonl`."""
-    found, labels = sequence.detections, np.array(scene.detector.labels, dtype=object)
-    steps = sequence.steps[found.frame]
-    place = locate(scene, sequence.camera.name, steps, found.boxes_px, attitude)
+    detections, labels = sequence.detections, np.array(scene.detector.labels, dtype=object)
+    steps = sequence.steps[detections.frame]
+    place = locate(scene, sequence.camera.name, steps, detections.boxes_px, attitude)
     names = ("bearing_rad", "bearing_std_rad", "inverse_range_per_m", "inverse_range_std_per_m", "covariance_rad_per_m")
     located = {name: getattr(place, name) for name in names}
     located |= zip(("w1_m", "w2_m"), place.positions_m.T, strict=True)
@@ -76,9 +76,9 @@ def _detections(scene: Scene, sequence: CameraSequence, attitude: Attitude) -> C
     located |= zip(("w1_variance_m2", "w1_w2_covariance_m2", "w2_variance_m2"), entries, strict=True)
     return {
         **_when(scene, steps),
-        "label": pa.array(labels[found.label], pa.string()),
-        "confidence": found.confidence,
-        **_boxes(found.boxes_px),
+        "label": pa.array(labels[detections.label], pa.string()),
+        "confidence": detections.confidence,
+        **_boxes(detections.boxes_px),
         **{name: rounded(values) for name, values in located.items()},
     }
 

@@ -128,7 +128,7 @@ def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
         token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
         if not token[:1].isalpha():  # ROS takes letters, digits and underscores, beginning with a letter
             token = f"{kind}_{token}".rstrip("_")
-        same = [names[other] for other, known in tokens.items() if known == token]
+        same = [names[other] for other, other_token in tokens.items() if other_token == token]
         if same:
             problem = f"{kind}s '{same[0]}' and '{name}' are both called '{token}' in ROS"
             raise InputError(source, [f"{problem}: rename one, or export one at a time with --camera"])
@@ -209,13 +209,13 @@ def _world_R_vessel(attitudes_rad: Array) -> Array:
 def vessels_in_map(scene: Scene, first: int, stop: int) -> list[tuple[FramePlace, Mask]]:
     """All vessels at steps first to stop − 1, and whether each is present, shape (stop − first,): the truth."""
     motion = scene.motion.at(np.arange(first, stop))
-    found = []
+    vessels = []
     for column, name in enumerate(scene.vessel_names):
         present = motion.poses.present[:, column]
         turns = np.where(present[:, None, None], motion.world_R_vessel[:, column], np.eye(3))
         place = FramePlace(MAP, f"truth/{name}", motion.poses.positions_m[:, column], quaternions(turns))
-        found.append((place, present))
-    return found
+        vessels.append((place, present))
+    return vessels
 
 
 def _fixed(parent: str, child: str, position_m: tuple[float, float, float], parent_R_child: Array) -> FramePlace:
@@ -310,7 +310,7 @@ class BagRecording:
     def _vessels(self, block: Block) -> Iterator[StampedMessage]:
         vessels = vessels_in_map(self._scene, block.first, block.stop)
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
-            present = [(place, row) for place, there in vessels if there[row]]
+            present = [(place, row) for place, mask in vessels if mask[row]]
             yield StampedMessage(stamp, "/tf", self._make.transforms(stamp, present))
 
     def _stamped(self, part: CameraBlock, frames: Iterable[FrameBoxes]) -> Iterator[tuple[int, FrameBoxes]]:
@@ -342,7 +342,7 @@ def write(request: ExportRequest, folder: Path) -> None:
         run.stored.check_checksums()
     recording = _recording(request)
     with _bag_folders(folder) as (tracker_folder, truth_folder), ExitStack() as bags:
-        tracker, truth = (bags.enter_context(open_bag(each, store)) for each in (tracker_folder, truth_folder))
+        tracker, truth = (bags.enter_context(open_bag(path, store)) for path in (tracker_folder, truth_folder))
         recording.begin(tracker, truth)
         for block in run.blocks():
             recording.write(block, tracker, truth)

@@ -36,11 +36,11 @@ class FrameBoxes:
 
 def detected_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
     """The detections of each frame without their origin, as `tracker_input_CAMERA.jsonl` has them."""
-    found = TrackerDetections.of(part.detections)
-    labels = [scene.detector.labels[label] for label in found.label.tolist()]
-    scores = found.confidence.tolist()
-    for rows in _rows(np.searchsorted(found.frame, np.arange(len(part.steps) + 1))):
-        yield FrameBoxes(found.boxes_px[rows], labels[rows], scores[rows], [""] * (rows.stop - rows.start))
+    detections = TrackerDetections.of(part.detections)
+    labels = [scene.detector.labels[label] for label in detections.label.tolist()]
+    scores = detections.confidence.tolist()
+    for rows in _rows(np.searchsorted(detections.frame, np.arange(len(part.steps) + 1))):
+        yield FrameBoxes(detections.boxes_px[rows], labels[rows], scores[rows], [""] * (rows.stop - rows.start))
 
 
 def true_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
@@ -49,9 +49,9 @@ def true_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
     vessels = [scene.vessels[vessel] for vessel in truth.vessel.tolist()]
     boxes = annotation_boxes(truth, scene.annotation.mode)
     for rows in _rows(np.searchsorted(truth.step, np.append(part.steps, np.iinfo(np.int64).max))):
-        found = vessels[rows]
-        names, labels = [vessel.name for vessel in found], [vessel.label for vessel in found]
-        yield FrameBoxes(boxes[rows], labels, [1.0] * len(found), names)
+        group = vessels[rows]
+        names, labels = [vessel.name for vessel in group], [vessel.label for vessel in group]
+        yield FrameBoxes(boxes[rows], labels, [1.0] * len(group), names)
 
 
 def _rows(starts: np.ndarray) -> Iterator[slice]:
@@ -120,8 +120,8 @@ class Variances(NamedTuple):
 
 def quaternions(parent_R_child: Array) -> Array:
     """Quaternions x, y, z, w with w ≥ 0 of rotations, shape (S, 3, 3) to (S, 4)."""
-    found: Array = Rotation.from_matrix(parent_R_child).as_quat(canonical=True)
-    return found
+    xyzw: Array = Rotation.from_matrix(parent_R_child).as_quat(canonical=True)
+    return xyzw
 
 
 class Messages:
@@ -168,7 +168,7 @@ class Messages:
 
     def imu(self, stamp_ns: int, frame: str, measured: MeasuredMotion, step: int, variances: Variances) -> Any:
         """An `Imu` of an inertial unit at a step."""
-        turn, rate, force = (np.diag(each).ravel() for each in variances)
+        turn, rate, force = (np.diag(variance).ravel() for variance in variances)
         attitude, header = self._quaternion(measured.quaternions[step]), self._header(stamp_ns, frame)
         rates, forces = self._vector(measured.rates_rad_s[step]), self._vector(measured.forces_m_s2[step])
         return self._make(IMU, header, attitude, turn, rates, rate, forces, force)

@@ -32,7 +32,7 @@ _MIN_IOU = 0.5  # from here on evaluators match a track to a distractor
 
 def files(request: ExportRequest) -> tuple[str, ...]:
     """The paths of the files."""
-    sequences = [f"{each.folder}/{file}" for each in _sequences(request) for file in _SEQUENCE_FILES]
+    sequences = [f"{entry.folder}/{file}" for entry in _sequences(request) for file in _SEQUENCE_FILES]
     return (*sequences, *(f"seqmaps/{set_}.txt" for set_ in (ALL_SET, CLASS_SET)), "frames.csv", "vessels.csv")
 
 
@@ -40,22 +40,22 @@ def write(request: ExportRequest, folder: Path) -> None:
     """Write a run. Raises OutputError if the folder holds sequences of an earlier export that it would not replace."""
     sequences = _sequences(request)
     _check_no_others(sequences, folder)
-    contents = {f"{each.folder}/{file}": text(each) for each in sequences for file, text in _SEQUENCE_FILES.items()}
+    contents = {f"{entry.folder}/{file}": text(entry) for entry in sequences for file, text in _SEQUENCE_FILES.items()}
     for set_ in (ALL_SET, CLASS_SET):
-        names = [each.name for each in sequences if each.set == set_]
+        names = [entry.name for entry in sequences if entry.set == set_]
         contents[f"seqmaps/{set_}.txt"] = "".join(f"{name}\n" for name in (SEQUENCE_HEADING, *names))
     contents["frames.csv"] = _frame_table(request.sequences)
-    vessels = ((k, each.name, each.label) for k, each in enumerate(request.run.scene.vessels, start=1))
+    vessels = ((k, vessel.name, vessel.label) for k, vessel in enumerate(request.run.scene.vessels, start=1))
     contents["vessels.csv"] = _table(("identity", "vessel", "label"), vessels)
     write_files({folder / path: text for path, text in contents.items()})
 
 
 def _check_no_others(sequences: Sequence[_Sequence], folder: Path) -> None:
     """Refuse a folder with other sequences: programs read all that are in a set, whatever the sequence map lists."""
-    ours = {each.folder for each in sequences}
+    folders = {entry.folder for entry in sequences}
     for set_ in (ALL_SET, CLASS_SET):
-        there = sorted(path.name for path in (folder / set_).glob("*/") if path.is_dir())
-        if others := [name for name in there if f"{set_}/{name}" not in ours]:
+        names = sorted(path.name for path in (folder / set_).glob("*/") if path.is_dir())
+        if others := [name for name in names if f"{set_}/{name}" not in folders]:
             raise OutputError(f"{folder / set_} holds another sequence ({others[0]}): choose another folder")
 
 
@@ -75,21 +75,21 @@ class _Sequence:
 
 
 def _sequences(request: ExportRequest) -> list[_Sequence]:
-    labels, found = request.run.scene.detector.labels, list[_Sequence]()
+    labels, entries = request.run.scene.detector.labels, list[_Sequence]()
 
     def free(wanted: str, set_: str) -> str:
-        return free_name(wanted, [each.name for each in found if each.set == set_])
+        return free_name(wanted, [entry.name for entry in entries if entry.set == set_])
 
-    for each in request.sequences:
-        found.append(_Sequence(ALL_SET, free(each.camera.name, ALL_SET), each, each.truth, each.detections))
-    for each in request.sequences:
+    for video in request.sequences:
+        entries.append(_Sequence(ALL_SET, free(video.camera.name, ALL_SET), video, video.truth, video.detections))
+    for video in request.sequences:
         for number, label in enumerate(labels):
-            truth = each.truth.take(each.truth.label == number)
-            detections = each.detections.take(each.detections.label == number)
+            truth = video.truth.take(video.truth.label == number)
+            detections = video.detections.take(video.detections.label == number)
             if truth.annotated.any() or len(detections):
-                name = free(f"{each.camera.name}-{label}", CLASS_SET)
-                found.append(_Sequence(CLASS_SET, name, each, truth, detections))
-    return found
+                name = free(f"{video.camera.name}-{label}", CLASS_SET)
+                entries.append(_Sequence(CLASS_SET, name, video, truth, detections))
+    return entries
 
 
 def sequence_text(name: str, size_px: tuple[int, int], rate_hz: float, frames: int) -> str:
@@ -163,9 +163,9 @@ def _number(value: float) -> str:
 
 def _frame_table(sequences: Sequence[CameraSequence]) -> str:
     rows = (
-        (each.camera.name, frame, step, _number(time_s))
-        for each in sequences
-        for frame, (step, time_s) in enumerate(zip(each.steps.tolist(), each.times_s.tolist(), strict=True), start=1)
+        (video.camera.name, frame, step, _number(time_s))
+        for video in sequences
+        for frame, (step, time_s) in enumerate(zip(video.steps.tolist(), video.times_s.tolist(), strict=True), start=1)
     )
     return _table(("camera", "frame", "step", "time_s"), rows)
 

@@ -52,8 +52,8 @@ def _labels(sequence: CameraSequence) -> Iterator[bytes]:
 
 
 def _predictions(sequence: CameraSequence) -> Iterator[bytes]:
-    found = sequence.detections
-    return _lines(sequence, found.frame, found.label, found.boxes_px, found.confidence[:, None])
+    detections = sequence.detections
+    return _lines(sequence, detections.frame, detections.label, detections.boxes_px, detections.confidence[:, None])
 
 
 def _lines(sequence: CameraSequence, frame: Indices, label: Indices, boxes_px: Array, *more: Array) -> Iterator[bytes]:

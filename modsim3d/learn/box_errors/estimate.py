@@ -98,7 +98,7 @@ def latent_share(errors: persistence.WhiteErrors) -> Callable[[Array], Array]:
     """Function from the correlation of errors to the share of the latent normal numbers that things keep."""
     heavy = errors.heavy[int(np.bincount(errors.state).argmax())]
     level = _SHARES * persistence.correlation_left(_SHARES, np.full(len(_SHARES), 4)) if heavy else _SHARES
-    return lambda found: np.interp(found, level, _SHARES)
+    return lambda correlation: np.interp(correlation, level, _SHARES)
 
 
 def with_things(
@@ -117,12 +117,12 @@ def with_things(
         state, name = entry.key.state, entry.key.names[0]
         if state is None or name not in (_MEAN, _STD, _CORRELATION):
             return entry
-        each = {_MEAN: share * stds[state] ** 2, _STD: share**2 / 2, _CORRELATION: share**2}[name]
+        extra = {_MEAN: share * stds[state] ** 2, _STD: share**2 / 2, _CORRELATION: share**2}[name]
         column = entry.column
         scaled = bootstrap.to_scale(column.values, column.kind)
-        found = bootstrap.spread(scaled[1:]) ** 2
-        usable = np.isfinite(found) & (found > 0)
-        wider = np.where(usable, np.sqrt(1 + each * crowding[state] / np.where(usable, found, 1.0)), 1.0)
+        variance = bootstrap.spread(scaled[1:]) ** 2
+        usable = np.isfinite(variance) & (variance > 0)
+        wider = np.where(usable, np.sqrt(1 + extra * crowding[state] / np.where(usable, variance, 1.0)), 1.0)
         values = bootstrap.from_scale(scaled[0] + wider * (scaled - scaled[0]), column.kind)
         return bootstrap.Entry(entry.key, replace(column, values=values))
 
@@ -161,12 +161,14 @@ class BoxErrorForm:
     def estimate(self, observed: Outcomes, resampling: bootstrap.Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
-        found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
+        best = [
+            options.chosen(form.unit, form.law != "normal") for options, form in zip(fits, self.states, strict=True)
+        ]
         persisting = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
         box_s = 0.0 if persisting.box_s is None else float(persisting.box_s.estimate)
         kept, learned, used = kept_share(observed, box_s), [], []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
-            edges, fit = fits[index].edges, found[index]
+            edges, fit = fits[index].edges, best[index]
             errors = edges.errors_px / (edges.sides_px if form.unit == "relative" else 1.0)
             learned.append(learned_errors(resampling, ErrorSample(errors, edges.image, kept, name, form.unit, fit)))
             used.append(UsedMatches.of(name, observed.pairs, index, edges, fit))
@@ -210,12 +212,13 @@ def _consecutive(
     models: list[ErrorModel | None] = []
     for laws in ([form.law for form in forms], ["normal"] * len(forms)):
         models = [
-            _own_model(each, form.source, form.unit, law) for each, form, law in zip(fits, forms, laws, strict=True)
+            _own_model(options, form.source, form.unit, law)
+            for options, form, law in zip(fits, forms, laws, strict=True)
         ]
-        found = persistence.consecutive_errors(observed, models)
-        if len(found):
+        consecutive = persistence.consecutive_errors(observed, models)
+        if len(consecutive):
             break
-    return found, models
+    return consecutive, models
 
 
 def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, law: str = "normal") -> ErrorModel | None:
@@ -257,13 +260,13 @@ def choose_box_errors(observed: Outcomes) -> BoxErrorForm:
     fits = [observed.pairs.fits(source, index) for index, source in enumerate(sources)]
     box_s = _persistence_s(observed, sources, fits, notes)
     kept, forms = kept_share(observed, box_s), []
-    for name, source, each in zip(observed.states, sources, fits, strict=True):
-        law = ChosenLaw(plain_unit(each, observed.without))
+    for name, source, options in zip(observed.states, sources, fits, strict=True):
+        law = ChosenLaw(plain_unit(options, observed.without))
         if source is ErrorSource.OWN_STATE:
-            law = choose_law(each, kept, observed.without)
+            law = choose_law(options, kept, observed.without)
         kind = law.unit if law.law == "normal" else law.law
         notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
-        fit = each.chosen(law.unit, law.heavy)
+        fit = options.chosen(law.unit, law.heavy)
         if fit is not None and not fit.settled:
             notes.append(
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
@@ -290,11 +293,11 @@ def _source(observed: Outcomes, state: int, notes: list[str]) -> ErrorSource:
     own, every = int(np.count_nonzero(whole & (pairs.state == state))), int(np.count_nonzero(whole))
     name = observed.states[state]
     if own >= ERRORS_NEEDED:
-        ours = pairs.state == state
-        unused = ours & ~pairs.edges.usable
+        in_state = pairs.state == state
+        unused = in_state & ~pairs.edges.usable
         hidden = 0 if pairs.unsure is None else int(np.count_nonzero(unused & pairs.unsure))
         if count := int(np.count_nonzero(unused)):
-            matches = int(np.count_nonzero(ours))
+            matches = int(np.count_nonzero(in_state))
             why = [f"{count - hidden:,} with all sides cut by the image's edge"] if count > hidden else []
             why += [f"{hidden:,} partly hidden, where positions are not surely known"] if hidden else []
             notes.append(
@@ -316,13 +319,14 @@ def _persistence_s(observed: Outcomes, sources: list[ErrorSource], fits: list[Er
     if not len(observed.steps) or "persistence" in observed.without:
         return 0.0  # which the note on misses says
     models = [
-        _own_model(each, source, plain_unit(each, observed.without)) for source, each in zip(sources, fits, strict=True)
+        _own_model(options, source, plain_unit(options, observed.without))
+        for source, options in zip(sources, fits, strict=True)
     ]
     consecutive = persistence.consecutive_errors(observed, models)
-    found = consecutive.correlation()
-    if found.persists:
+    correlation = consecutive.correlation()
+    if correlation.persists:
         return consecutive.rough_time_s()
-    notes.append(f"persistence.box_s: 0; {found.doubt if len(consecutive) else _why_none(sources)}")
+    notes.append(f"persistence.box_s: 0; {correlation.doubt if len(consecutive) else _why_none(sources)}")
     return 0.0
 
 

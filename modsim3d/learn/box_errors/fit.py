@@ -41,9 +41,9 @@ class Gate:
         rows = np.flatnonzero(risky)
         if not len(rows):
             return None
-        ours = edges.take(rows)
-        near = (ours.inward_px < _NEAR_SHARE * ours.sides_px) @ 2 ** np.arange(4)
-        width, height = ours.sides_px[:, 0], ours.sides_px[:, 1]
+        subset = edges.take(rows)
+        near = (subset.inward_px < _NEAR_SHARE * subset.sides_px) @ 2 ** np.arange(4)
+        width, height = subset.sides_px[:, 0], subset.sides_px[:, 1]
         order = rows[np.lexsort((width / height, np.round(2 * np.log2(width * height)), near))]
         number = min(len(order), _BOXES)
         chosen = order[((np.arange(number) + 0.5) * len(order) / number).astype(np.int64)]
@@ -66,9 +66,9 @@ class Gate:
         fails = _fails(model, self.sample, standard)
         number = np.count_nonzero(fails, axis=1)
         chance = np.maximum(1 - number / fails.shape[1], _MIN_PASSING)
-        found = model.statistics(standard[fails])
-        ones, ends = np.ones(len(found)), np.append(0, np.cumsum(number))
-        sums = csr_array((ones, np.arange(len(found)), ends), shape=(len(chance), len(found))) @ found
+        terms = model.statistics(standard[fails])
+        ones, ends = np.ones(len(terms)), np.append(0, np.cumsum(number))
+        sums = csr_array((ones, np.arange(len(terms)), ends), shape=(len(chance), len(terms))) @ terms
         lost = sums / fails.shape[1] / chance[:, None]
         return np.append(np.log(chance), 0.0)[self.stands], np.vstack([lost, np.zeros(lost.shape[1])])[self.stands]
 
@@ -140,8 +140,8 @@ class CompletedEdges:
 
 def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[CompletedEdges]:
     """All boxes, those with the same edges known together."""
-    for rows, ours in edges.alike:
-        yield _of_pattern(model, ours, rows)
+    for rows, group in edges.alike:
+        yield _of_pattern(model, group, rows)
 
 
 def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> CompletedEdges:
@@ -246,17 +246,17 @@ class ErrorFit:
         start, score = self.model.numbers(), self.slopes().scores.sum(axis=0)
         usual = _expected_information(self.model, self.edges)
         step = _DIFFERENCE / np.sqrt(np.diag(usual))
-        found = np.empty_like(usual)
+        curvature = np.empty_like(usual)
         for place, width in enumerate(step):
             moved = start.copy()
             moved[place] += width
             change = slopes(self.model.with_numbers(moved), self.edges, self.gate).scores.sum(axis=0)
-            found[place] = (score - change) / width
-        found = (found + found.T) / 2
+            curvature[place] = (score - change) / width
+        curvature = (curvature + curvature.T) / 2
         scale = np.sqrt(np.diag(usual))
-        if not np.isfinite(found).all() or np.linalg.eigvalsh(found / np.outer(scale, scale))[0] < 1e-3:
+        if not np.isfinite(curvature).all() or np.linalg.eigvalsh(curvature / np.outer(scale, scale))[0] < 1e-3:
             return usual
-        return found
+        return curvature
 
 
 def slopes(model: ErrorModel, edges: MatchedEdges, gate: Gate | None) -> Slopes:
@@ -333,11 +333,11 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float
     unit: Array = 1 / np.sqrt(np.diag(information))  # all numbers in standard errors, so that they are alike
     usual = np.asarray(np.linalg.inv(information * np.outer(unit, unit)), dtype=np.float64)
     inverse, longest = usual, _MAX_STEP
-    found = slopes(start, edges, gate)
-    numbers, score = start.numbers(), found.scores.sum(axis=0)
+    gradient = slopes(start, edges, gate)
+    numbers, score = start.numbers(), gradient.scores.sum(axis=0)
     for _ in range(_STEPS):
         step = _step(inverse, score * unit, model.held(score)) * unit
-        if found.value + _HOPE * abs(score @ step) + _MARGIN < least:
+        if gradient.value + _HOPE * abs(score @ step) + _MARGIN < least:
             break
         if np.all(np.abs(step) <= _ENOUGH * unit):
             settled = True
@@ -349,14 +349,14 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float
         if np.any(model.std > _MAX_TIMES * start.std) or not np.isfinite(model.numbers()).all():
             model = last
             break
-        found = slopes(model, edges, gate)
-        moved, after = model.numbers() - numbers, found.scores.sum(axis=0)
+        gradient = slopes(model, edges, gate)
+        moved, after = model.numbers() - numbers, gradient.scores.sum(axis=0)
         if np.linalg.norm(after * unit) > _WORSE * np.linalg.norm(score * unit):
             inverse, longest = usual, longest / 2
         else:
             inverse = _broyden(inverse, moved / unit, (score - after) * unit)
         numbers, score = numbers + moved, after
-    return ErrorFit(model, edges, gate, found.value, settled)
+    return ErrorFit(model, edges, gate, gradient.value, settled)
 
 
 def _step(inverse: Array, score: Array, held: Mask) -> Array:

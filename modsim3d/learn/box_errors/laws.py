@@ -62,10 +62,10 @@ def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenL
     chosen = ChosenLaw(unit)
     if "student_t" not in without:
         best = -np.inf
-        for each in (unit,) if "relative" in without else (unit, _other(unit)):
-            reason = heavy_tails(fits, each, kept, unit)
-            if reason and fits.value(each, heavy=True) > best:
-                best, chosen = fits.value(each, heavy=True), ChosenLaw(each, "student_t", (reason,))
+        for candidate in (unit,) if "relative" in without else (unit, _other(unit)):
+            reason = heavy_tails(fits, candidate, kept, unit)
+            if reason and fits.value(candidate, heavy=True) > best:
+                best, chosen = fits.value(candidate, heavy=True), ChosenLaw(candidate, "student_t", (reason,))
     if "mixed" not in without and len(fits.edges) >= MIXED_NEEDED and _sides_differ(fits.edges):
         chosen = _with_growth(fits, chosen, kept, without)
     return chosen
@@ -103,11 +103,11 @@ def _tails(fits: ErrorFits, unit: matched_edges.Unit, plain: matched_edges.Unit,
 
 def _likeliest_normal(fits: ErrorFits, plain: matched_edges.Unit) -> ErrorFit | None:
     """Normal errors in the plain unit; where they are not settled, the likeliest ones that were found in any."""
-    found = fits.likeliest_normal(plain)
-    if found is None or found.settled:
-        return found
+    plain_fit = fits.likeliest_normal(plain)
+    if plain_fit is None or plain_fit.settled:
+        return plain_fit
     others = [fits.likeliest_normal(unit) for unit in ("px", "relative") if unit != plain]
-    return max([found, *(each for each in others if each is not None)], key=lambda fit: fit.value)
+    return max([plain_fit, *(fit for fit in others if fit is not None)], key=lambda fit: fit.value)
 
 
 def _needed_of_tails(count: int, alike: float) -> float:
@@ -275,7 +275,7 @@ class LearnedErrors:
         section: dict[str, Any] = {"unit": self.unit}
         if self.degrees_of_freedom is not None:
             section |= {"law": "student_t", "degrees_of_freedom": bootstrap.nested(self.degrees_of_freedom.estimate)}
-        mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
+        mean, std, correlation = (np.nan_to_num(entry.estimate) for entry in (self.mean, self.std, self.correlation))
         section |= {"mean": bootstrap.nested(mean), "covariance": _written(_positive(covariance(std, correlation)))}
         if self.growth is not None:
             section["growth"] = bootstrap.nested(np.maximum(self.growth.estimate, 0.0))
@@ -329,9 +329,9 @@ def _likeliest(resampling: bootstrap.Resampling, sample: ErrorSample, fit: Error
     axes = {"correlation": (_PAIR_NAMES,), "degrees_of_freedom": ()}
     entries, place = {}, 0
     for name, (number, kind, power) in numbers.items():
-        ours = slice(place, place := place + number.size)
-        scaled = bootstrap.to_scale(number, kind) + steps[:, ours].reshape(-1, *number.shape)
-        error = np.sqrt(np.maximum(np.diag(inverse)[ours], 0) * excess(sample.kept**power)).reshape(number.shape)
+        span = slice(place, place := place + number.size)
+        scaled = bootstrap.to_scale(number, kind) + steps[:, span].reshape(-1, *number.shape)
+        error = np.sqrt(np.maximum(np.diag(inverse)[span], 0) * excess(sample.kept**power)).reshape(number.shape)
         values = bootstrap.from_scale(bootstrap.widened(scaled, error), kind)
         column = bootstrap.Column(values, kind, np.full(number.shape, float(count)))
         entries[name] = sample.entry(name, column, *axes.get(name, (ERROR_COMPONENTS,)))

@@ -94,7 +94,7 @@ class MatchedEdges(Columns):
     def alike(self) -> tuple[tuple[Indices, MatchedEdges], ...]:
         """Boxes with the same edges known and censored together, with their rows."""
         pattern = (self.known + 2 * self.censored) @ 3 ** np.arange(4)
-        groups = [np.flatnonzero(pattern == each) for each in np.unique(pattern)]
+        groups = [np.flatnonzero(pattern == code) for code in np.unique(pattern)]
         return tuple((rows, self.take(rows)) for rows in groups)
 
     @cached_property
@@ -121,7 +121,7 @@ class MatchedEdges(Columns):
         # Seen from the true box's corner, so that numbers stay small: 0 to side is the true box.
         inward, sides = self.inward_px[..., None], self.sides_px[..., None]
         shifts: list[Array] = []
-        common = found = own = np.ones((len(self), 1))
+        common = box_area = own = np.ones((len(self), 1))
         passes: Mask = np.ones(outward_px.shape[:2], dtype=bool)
         for k in range(2):  # axis by axis, which is faster than sums and products over an axis of length 2
             side = sides[:, k]
@@ -135,11 +135,11 @@ class MatchedEdges(Columns):
                 shifts.append((low + high - side) / 2)
             elif self.rule.method != "provenance":
                 common = common * np.maximum(np.minimum(high, side) - np.maximum(low, 0), 0)
-                found, own = found * np.maximum(high - low, 0), own * side
+                box_area, own = box_area * np.maximum(high - low, 0), own * side
         if self.rule.method == "centre":
             passes &= np.hypot(*shifts) <= self.rule.most_distance_px
         elif self.rule.method != "provenance":
-            passes &= common >= min(self.rule.least_iou, 1 - 1e-10) * (found + own - common)
+            passes &= common >= min(self.rule.least_iou, 1 - 1e-10) * (box_area + own - common)
         return passes
 
     def surely_passes(self, most_px: Array) -> Mask:
@@ -159,7 +159,7 @@ class MatchedEdges(Columns):
 
 Unit = Literal["px", "relative", "mixed"]
 MIN_DEGREES, MAX_DEGREES = 2.5, 200.0  # bounds of ν: 2 has no covariance, more than 200 is as good as normal
-_FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
+_FIRST, _SECOND = (np.array(column) for column in zip(*ERROR_PAIRS, strict=True))
 _MAX_ARTANH = 4.0
 _MEANS, _STDS, _PAIRS, _FREEDOM = slice(0, 4), slice(4, 8), slice(8, 14), 14
 
@@ -223,7 +223,7 @@ class ErrorModel:
             nu = self.freedom
             weight = (nu + 4) / (nu - 2 + q)
         weighted = weight[..., None] * solved
-        found = [
+        terms = [
             weighted,
             weighted * standard - 1,
             weighted[..., _FIRST] * solved[..., _SECOND] - np.linalg.inv(self.correlation)[_FIRST, _SECOND],
@@ -231,8 +231,8 @@ class ErrorModel:
         if self.heavy:
             constant = (special.digamma(nu / 2 + 2) - special.digamma(nu / 2)) / 2 - 2 / (nu - 2)
             slope = constant - np.log1p(q / (nu - 2)) / 2 + weight * q / (nu - 2) / 2
-            found.append((slope * (nu - 2))[..., None])
-        return np.concatenate(found, axis=-1)
+            terms.append((slope * (nu - 2))[..., None])
+        return np.concatenate(terms, axis=-1)
 
     def mean_statistics(self, standard: Array, weights: Array) -> Array:
         """Means of `statistics` of points (m, p, 4) with weights (m, p) that sum to one, shape (m, 14 or 15)."""
@@ -246,16 +246,16 @@ class ErrorModel:
             weighted = weights * weight
         first = np.einsum("mp,mpi->mi", weighted, standard) @ precision
         second = precision @ (np.swapaxes(standard * weighted[..., None], 1, 2) @ standard)
-        found = [
+        terms = [
             first,
             np.diagonal(second, axis1=1, axis2=2) - 1,
             (second @ precision)[:, _FIRST, _SECOND] - precision[_FIRST, _SECOND],
         ]
         if self.heavy:
             constant = (special.digamma(nu / 2 + 2) - special.digamma(nu / 2)) / 2 - 2 / (nu - 2)
-            each = (weight * q / (nu - 2) - np.log1p(q / (nu - 2))) / 2
-            found.append((constant + (weights * each).sum(axis=1))[:, None] * (nu - 2))
-        return np.concatenate(found, axis=-1)
+            part = (weight * q / (nu - 2) - np.log1p(q / (nu - 2))) / 2
+            terms.append((constant + (weights * part).sum(axis=1))[:, None] * (nu - 2))
+        return np.concatenate(terms, axis=-1)
 
     @property
     def places(self) -> Indices:
@@ -371,9 +371,9 @@ def _likeliest_degrees(q: Array) -> tuple[float, float]:
 
     def loss(logarithm: float) -> float:
         nu = np.exp(logarithm)
-        each = special.gammaln(nu / 2 + 2) - special.gammaln(nu / 2) - 2 * np.log(np.pi * nu)
-        return float((nu / 2 + 2) * np.log1p(q / nu).sum() - len(q) * each)
+        constant = special.gammaln(nu / 2 + 2) - special.gammaln(nu / 2) - 2 * np.log(np.pi * nu)
+        return float((nu / 2 + 2) * np.log1p(q / nu).sum() - len(q) * constant)
 
     bounds = np.log(MIN_DEGREES), np.log(MAX_DEGREES)
-    found = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    return float(np.exp(found.x)), -float(found.fun)
+    minimum = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    return float(np.exp(minimum.x)), -float(minimum.fun)

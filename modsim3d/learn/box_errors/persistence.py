@@ -73,11 +73,11 @@ def _settled(
     pairs = observed.pairs
     patterns = _clear_edges(pairs, models) @ _EDGES
     kept = np.flatnonzero(patterns)
-    found = persistence.steps_between(observed.labelled, pairs.rows[kept])
-    a, b = kept[found.earlier], kept[found.later]
+    all_steps = persistence.steps_between(observed.labelled, pairs.rows[kept])
+    a, b = kept[all_steps.earlier], kept[all_steps.later]
     common = patterns[a] & patterns[b]
     both = common > 0
-    steps = _Steps(a[both], b[both], common[both], found.apart_s[both])
+    steps = _Steps(a[both], b[both], common[both], all_steps.apart_s[both])
     shapes = [None if model is None else model.correlation for model in models]
     identity = observed.labelled.annotations.identity[pairs.rows[kept]]
     stretches = persistence.stretches_of(observed.labelled.images, pairs.image[kept], identity, pairs.state[kept])
@@ -115,13 +115,13 @@ def _shapes_of_changes(
     shapes: list[Array | None] = []
     whole = steps.edges == _EDGES.sum()
     for state, model in enumerate(models):
-        ours = whole & (pairs.state[steps.earlier] == state) & (pairs.state[steps.later] == state)
-        if model is None or ours.sum() < _STEPS_NEEDED:
+        in_state = whole & (pairs.state[steps.earlier] == state) & (pairs.state[steps.later] == state)
+        if model is None or in_state.sum() < _STEPS_NEEDED:
             shapes.append(None if model is None else model.correlation)
             continue
-        before, after = (_standard(pairs, model, each[ours]) for each in (steps.earlier, steps.later))
-        change = after - correlation[ours, None] * before
-        change /= np.sqrt(np.maximum(1 - correlation[ours] ** 2, _MIN_CHANGE))[:, None]
+        before, after = (_standard(pairs, model, end[in_state]) for end in (steps.earlier, steps.later))
+        change = after - correlation[in_state, None] * before
+        change /= np.sqrt(np.maximum(1 - correlation[in_state] ** 2, _MIN_CHANGE))[:, None]
         shapes.append(change.T @ change / len(change))
     return shapes
 
@@ -164,18 +164,18 @@ def _whitened(
     errors. Of heavy tails only the direction: lengths would hide how the normal numbers behind them persist."""
     edges, white = pairs.edges, np.zeros((len(rows), len(chosen)))
     for state, (model, shape) in enumerate(zip(models, shapes, strict=True)):
-        ours = np.flatnonzero(pairs.state[rows] == state)
-        if model is None or shape is None or not len(ours):
+        group = np.flatnonzero(pairs.state[rows] == state)
+        if model is None or shape is None or not len(group):
             continue
-        mean, std = model.at(edges.sides_px[rows[ours]])
+        mean, std = model.at(edges.sides_px[rows[group]])
         scaled = OUTWARD[chosen] * std[:, None]
         values, vectors = np.linalg.eigh(scaled @ shape @ np.swapaxes(scaled, 1, 2))
-        moved = edges.outward_px[rows[ours]][:, chosen] - mean @ OUTWARD[chosen].T
+        moved = edges.outward_px[rows[group]][:, chosen] - mean @ OUTWARD[chosen].T
         turned = np.einsum("mji,mj->mi", vectors, moved) / np.sqrt(np.maximum(values, 1e-300))
-        found = np.einsum("mij,mj->mi", vectors, turned)
+        numbers = np.einsum("mij,mj->mi", vectors, turned)
         if model.heavy:
-            found *= np.sqrt(len(chosen)) / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
-        white[ours] = found
+            numbers *= np.sqrt(len(chosen)) / np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1e-300)
+        white[group] = numbers
     return white
 
 
@@ -209,12 +209,12 @@ def component_lags(observed: Outcomes, models: Sequence[ErrorModel | None]) -> t
     latent, large = np.zeros((len(rows), 4)), np.zeros(len(rows), dtype=bool)
     state = pairs.state[rows]
     for index, model in enumerate(models):
-        ours = np.flatnonzero(state == index)
-        if model is None or not len(ours):
+        group = np.flatnonzero(state == index)
+        if model is None or not len(group):
             continue
-        latent[ours], large[ours] = model.latent(_standard(pairs, model, rows[ours]))
-        ranks = np.argsort(np.argsort(latent[ours], axis=0), axis=0)
-        latent[ours] = special.ndtri((ranks + 0.5) / len(ours))  # what Student's t does not explain must not decide
+        latent[group], large[group] = model.latent(_standard(pairs, model, rows[group]))
+        ranks = np.argsort(np.argsort(latent[group], axis=0), axis=0)
+        latent[group] = special.ndtri((ranks + 0.5) / len(group))  # what Student's t does not explain must not decide
     size = large - np.bincount(state, large)[state] / np.maximum(np.bincount(state), 1)[state]
     numbers = [*latent.T, size] if large.any() else [*latent.T]
 
@@ -232,9 +232,9 @@ def components_differ(tables: Sequence[lags.LagTable]) -> bool:
     if first.things < lags.THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
         return False
     one = Resampling(np.ones((1, int(first.image.max()) + 1)), np.zeros(0, dtype=np.int64))
-    found = np.array([np.average(table.ratios(one)[0], weights=table.weight) for table in tables[:4]])
+    means = np.array([np.average(table.ratios(one)[0], weights=table.weight) for table in tables[:4]])
     left_out = np.array([np.average(table.ratios_without_each(), axis=1, weights=table.weight) for table in tables[:4]])
-    apart, strays = found[:3] - found[3], left_out[:3] - left_out[3]
+    apart, strays = means[:3] - means[3], left_out[:3] - left_out[3]
     count = strays.shape[1]
     distance = float(apart @ np.linalg.pinv(np.cov(strays, bias=True) * (count - 1)) @ apart)
     return bool(special.fdtrc(3, count - 3, distance * (count - 3) / (3 * (count - 1))) < _ALIKE_P)

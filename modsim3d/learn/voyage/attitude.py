@@ -88,11 +88,11 @@ def read_attitude(path: Path, scene: Scene) -> Attitude:
     mine = np.ones(len(time_s), dtype=bool)
     if table.has("vessel"):
         vessels = np.array(table.columns["vessel"].to_pylist(), dtype=object)
-        found = [name for name in carriers if (vessels == name).any()]
-        if not found:
+        matches = [name for name in carriers if (vessels == name).any()]
+        if not matches:
             hint = nearest(str(vessels[0]) if len(vessels) else "", carriers)
             raise InputError(source, [f"has no row of {', '.join(carriers)}, which carries a camera ({hint})"])
-        carriers, mine = found, vessels == found[0]
+        carriers, mine = matches, vessels == matches[0]
     if len(carriers) > 1:
         problem = f"give a file of one vessel: several carry cameras ({', '.join(carriers)})"
         raise InputError(source, [problem])
@@ -122,8 +122,8 @@ def _check_headings(times_s: Array, headings_rad: Array, scene: Scene, vessel: s
     every_s, places_m = scene.times_s(0, scene.steps)[steps], poses.positions_m[steps, column]
     speeds = np.linalg.norm(np.gradient(places_m, every_s, axis=0), axis=1)
     under_way = (times_s >= every_s[0]) & (times_s <= every_s[-1]) & (np.interp(times_s, every_s, speeds) > _UNDER_WAY)
-    known = np.interp(times_s, every_s, np.unwrap(poses.headings_rad[steps, column]))
-    off = np.abs(np.angle(np.exp(1j * (headings_rad - known))))[under_way]
+    scene_rad = np.interp(times_s, every_s, np.unwrap(poses.headings_rad[steps, column]))
+    off = np.abs(np.angle(np.exp(1j * (headings_rad - scene_rad))))[under_way]
     if len(off) and np.median(off) > _MAX_OFF:
         degrees = ", in radians: are these degrees?" if np.abs(headings_rad).max() > 2 * np.pi else ""
         problem = (
@@ -158,8 +158,8 @@ class Sampler:
         share = np.where(times_s - every[before] <= NEAR_S, 0.0, np.clip(share, 0, 1))
         after = np.where(share > 0, after, before)
         steps, places = np.unique(np.concatenate([before, after]), return_inverse=True)
-        known = scene.motion.at(steps)
-        first, second = known.rows(places[: len(times_s)]), known.rows(places[len(times_s) :])
+        motion = scene.motion.at(steps)
+        first, second = motion.rows(places[: len(times_s)]), motion.rows(places[len(times_s) :])
         u = share[:, None]
         turn = second.poses.headings_rad - first.poses.headings_rad
         poses = Poses(

@@ -28,20 +28,20 @@ def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
     and delay in s: a late report says where a vessel was; before its first and after its last pose it is there."""
     if not offsets.any():
         return scene
-    every_s, known = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
-    positions, headings = known.positions_m.copy(), known.headings_rad.copy()
+    every_s, poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
+    positions, headings = poses.positions_m.copy(), poses.headings_rad.copy()
     for vessel in np.flatnonzero(offsets.any(axis=1)).tolist():
-        steps = np.flatnonzero(known.present[:, vessel])
+        steps = np.flatnonzero(poses.present[:, vessel])
         if not len(steps):
             continue
         along, across, delay = offsets[vessel].tolist()
         at_s = every_s[steps] + delay
-        heading = np.interp(at_s, every_s[steps], np.unwrap(known.headings_rad[steps, vessel]))
-        places = [np.interp(at_s, every_s[steps], axis) for axis in known.positions_m[steps, vessel].T]
+        heading = np.interp(at_s, every_s[steps], np.unwrap(poses.headings_rad[steps, vessel]))
+        places = [np.interp(at_s, every_s[steps], axis) for axis in poses.positions_m[steps, vessel].T]
         ahead, port = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
         places[:2] = np.array(places[:2]) - along * ahead - across * port
         positions[steps, vessel], headings[steps, vessel] = np.stack(places, axis=-1), heading
-    return replace(scene, poses=RecordedPoses(scene.poses.timestamps, Poses(known.present, positions, headings)))
+    return replace(scene, poses=RecordedPoses(scene.poses.timestamps, Poses(poses.present, positions, headings)))
 
 
 # ---- Means that a user knows of what registration cannot tell from a camera and a clock ----
@@ -66,7 +66,7 @@ class KnownMeans:
 
     def by_name(self) -> dict[str, float]:
         """Means that are known, by the names of the attributes."""
-        return {each.name: value for each in fields(self) if (value := getattr(self, each.name)) is not None}
+        return {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
 
     def scene_of(self, scene: Scene) -> Scene:
         """The scene with its vessels where they were, if reports are late; own ships stay."""
@@ -79,7 +79,7 @@ class KnownMeans:
 
 
 NOTHING_KNOWN = KnownMeans()
-SHORT_NAMES = {each.name.rsplit("_", 1)[0]: each.name for each in fields(KnownMeans)}  # `mean_x` → `mean_x_px`
+SHORT_NAMES = {field.name.rsplit("_", 1)[0]: field.name for field in fields(KnownMeans)}  # `mean_x` → `mean_x_px`
 _FORM = f"must be NAME=VALUE,..., such as mean_x=1.5,delay=2, with the names {', '.join(SHORT_NAMES)}"
 
 
@@ -88,21 +88,21 @@ def parse_known(given: str | Mapping[str, float] | KnownMeans | None) -> KnownMe
     twice, or a value is no number or too large."""
     if given is None or isinstance(given, KnownMeans):
         return given or NOTHING_KNOWN
-    known, problems = NOTHING_KNOWN, []
+    means, problems = NOTHING_KNOWN, []
     for name, text in _pairs(given):
         full, value = SHORT_NAMES.get(name), number_in(text)
         if full is None:
             problems.append(f"no mean {shown(name)} ({nearest(name, SHORT_NAMES)})")
-        elif getattr(known, full) is not None:
+        elif getattr(means, full) is not None:
             problems.append(f"{name}: is given twice")
         elif math.isnan(value) or (full.endswith("_share") and abs(value) >= 1):
             needed = "a share above -1 and below 1, such as 0.02" if full.endswith("_share") else "a number"
             problems.append(f"{name}: must be {needed} (got {shown(text)})")
         else:
-            known = replace(known, **{full: value})
+            means = replace(means, **{full: value})
     if problems:
         raise InputError("--known", problems)
-    return known
+    return means
 
 
 def _pairs(given: str | Mapping[str, float]) -> list[tuple[str, object]]:
@@ -179,9 +179,9 @@ def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
     """Names of parameters, perhaps with units, from a text such as `pitch,yaw`, or a list. Raises InputError if one is
     not known, or `all` does not stand alone."""
     fixed = tuple(text.strip() for text in (names.split(",") if isinstance(names, str) else names or ()))
-    known = (*FIXED_NAMES, ALL)
-    if unknown := [name for name in fixed if SHORT_OF.get(name, name) not in known]:
-        raise InputError("--fixed", [f"no parameter {shown(unknown[0])} ({nearest(unknown[0], known)})"])
+    choices = (*FIXED_NAMES, ALL)
+    if unknown := [name for name in fixed if SHORT_OF.get(name, name) not in choices]:
+        raise InputError("--fixed", [f"no parameter {shown(unknown[0])} ({nearest(unknown[0], choices)})"])
     if ALL in fixed and len(fixed) > 1:
         raise InputError("--fixed", [f"all stands alone (got {shown(','.join(fixed))})"])
     return fixed

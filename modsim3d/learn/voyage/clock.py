@@ -75,11 +75,11 @@ def read_reports(scene: Path) -> Reports | None:
         vessels = content.get("vessels") if isinstance(content, dict) else None
         if not isinstance(vessels, dict):
             raise InputError(source, [f"must be a mapping with start and vessels (got {shown(content)})"])
-        used, jumps = ({name: _times(each, key) for name, each in vessels.items()} for key in ("used_s", "jumps_s"))
+        used, jumps = ({name: _times(entry, key) for name, entry in vessels.items()} for key in ("used_s", "jumps_s"))
         if wrong := [name for name in vessels if used[name] is None or jumps[name] is None]:
             raise InputError(source, [f"vessels.{wrong[0]}: must have used_s and jumps_s, ascending seconds"])
-        known = ({n: v for n, v in each.items() if v is not None} for each in (used, jumps))
-        return Reports(_start(content, source), *known)
+        columns = ({n: v for n, v in table.items() if v is not None} for table in (used, jumps))
+        return Reports(_start(content, source), *columns)
     return Reports(_start(load_json(report, "report"), f"report {report}")) if report.is_file() else None
 
 

@@ -40,7 +40,7 @@ class Coverage:
     def bearings_deg(self) -> Array:
         """Edges of cells of bearing, at round numbers, ascending."""
         low, high = self.bearing_deg.min(), self.bearing_deg.max()
-        step = next((each for each in _STEPS_DEG if (high - low) / each <= _MAX_BINS - 1), _STEPS_DEG[-1])
+        step = next((width for width in _STEPS_DEG if (high - low) / width <= _MAX_BINS - 1), _STEPS_DEG[-1])
         return np.arange(np.floor(low / step), np.floor(high / step) + 2) * step
 
     @property
@@ -74,10 +74,10 @@ def coverages(observed: Outcomes, views: Sequence[View]) -> list[Coverage]:
     names = np.array([view.camera.name for view in views])[of_image[labelled.annotations.image[rows]]]
     done = []
     for name, camera in cameras.items():
-        ours = rows[names == name]
-        if len(ours):
-            places = bearings(camera, labelled.annotations.boxes_px[ours], labelled.annotations.depth_m[ours])
-            done.append(Coverage(name, *places, matched.detection[ours] >= 0))
+        members = rows[names == name]
+        if len(members):
+            places = bearings(camera, labelled.annotations.boxes_px[members], labelled.annotations.depth_m[members])
+            done.append(Coverage(name, *places, matched.detection[members] >= 0))
     return done
 
 
@@ -90,7 +90,7 @@ def bearings(camera: Camera, boxes_px: Array, depth_m: Array | float) -> tuple[A
 
 def range_table(coverage: Coverage) -> Table:
     """Matched and missed by range, the nearest first."""
-    matched, whole = (each.sum(axis=0) for each in coverage.counts())
+    matched, whole = (table.sum(axis=0) for table in coverage.counts())
     edges = coverage.ranges_m
     rows = tuple(
         (
@@ -147,15 +147,15 @@ class FrameStretch:
 def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> list[FrameStretch]:
     """Stretches in which a vessel was to be detected in each frame that it was in, and was in none, longest first."""
     labelled, matched = voyage.labelled, judged.telling.matched
-    identity, found = labelled.annotations.identity, []
+    identity, stretches = labelled.annotations.identity, []
     number, start_s = np.full(len(labelled.images), -1), SceneClock.of(voyage.scene).start_s
     for view in voyage.views:
         number[:] = -1
         number[view.images] = np.arange(len(view.images))
         eye = next(other.camera for other in voyage.views if other.camera.name == view.camera.name)
-        ours = np.flatnonzero(matched.sought & (number[labelled.annotations.image] >= 0))
-        for who in np.unique(identity[ours]).tolist():
-            rows = ours[identity[ours] == who]
+        in_view = np.flatnonzero(matched.sought & (number[labelled.annotations.image] >= 0))
+        for who in np.unique(identity[in_view]).tolist():
+            rows = in_view[identity[in_view] == who]
             frame = number[labelled.annotations.image[rows]]
             rows, frame = rows[np.argsort(frame)], np.sort(frame)
             missed = matched.detection[rows] < 0
@@ -167,8 +167,8 @@ def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> li
                     places = bearings(eye, boxes, labelled.annotations.depth_m[part])
                     bearing, range_m = (float(values.mean()) for values in places)
                     times = labelled.images.time_s[image], image
-                    found.append(FrameStretch(name, eye.name, *times, boxes, bearing, range_m, start_s))
-    return sorted(found, key=lambda each: (-len(each.image), each.time_s[0]))
+                    stretches.append(FrameStretch(name, eye.name, *times, boxes, bearing, range_m, start_s))
+    return sorted(stretches, key=lambda stretch: (-len(stretch.image), stretch.time_s[0]))
 
 
 def unmatched_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> list[FrameStretch]:
@@ -179,7 +179,7 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) ->
         of_view[view.images] = place
     order = np.lexsort((links.time_s, links.link))
     starts = np.searchsorted(links.link[order], np.arange(links.count))
-    found = []
+    stretches = []
     for tracklet, rows in enumerate(np.split(order, starts[1:]) if links.count else []):
         view = voyage.views[int(of_view[links.image[rows[0]]])]
         boxes = voyage.labelled.results.boxes_px[links.rows[rows]]
@@ -191,15 +191,15 @@ def unmatched_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) ->
         if judged.empty[links.image[rows]].all():
             what = "false, in a stretch that is marked as empty"
         times = links.time_s[rows], links.image[rows]
-        found.append(FrameStretch(what, view.camera.name, *times, boxes, bearing, float("nan"), start_s))
-    return sorted(found, key=lambda each: (-len(each.image), each.time_s[0]))
+        stretches.append(FrameStretch(what, view.camera.name, *times, boxes, bearing, float("nan"), start_s))
+    return sorted(stretches, key=lambda stretch: (-len(stretch.image), stretch.time_s[0]))
 
 
 def missed_table(stretches: list[FrameStretch]) -> Table:
     """The longest stretches in which vessels were missed."""
     rows = tuple(
-        (each.what, each.camera, *_times(each), f"{each.range_m:,.0f} m", _degrees(each.bearing_deg))
-        for each in stretches[:LISTED]
+        (row.what, row.camera, *_times(row), f"{row.range_m:,.0f} m", _degrees(row.bearing_deg))
+        for row in stretches[:LISTED]
     )
     title = f"Vessels that were missed for longest{_of(stretches)}"
     return Table(title, ("vessel", "camera", "from", "to", "frames", "range", "from the axis"), rows)
@@ -207,7 +207,7 @@ def missed_table(stretches: list[FrameStretch]) -> Table:
 
 def unmatched_table(stretches: list[FrameStretch]) -> Table:
     """The things without a match that were detected most often."""
-    rows = tuple((each.camera, *_times(each), _degrees(each.bearing_deg), each.what) for each in stretches[:LISTED])
+    rows = tuple((row.camera, *_times(row), _degrees(row.bearing_deg), row.what) for row in stretches[:LISTED])
     title = f"Detections of nothing known that lasted longest{_of(stretches)}"
     return Table(title, ("camera", "from", "to", "frames", "from the axis", "taken for"), rows)
 
@@ -220,8 +220,8 @@ def _of(stretches: list[FrameStretch]) -> str:
     return f" ({LISTED} of {counted(len(stretches), 'stretch', 'stretches')})" if len(stretches) > LISTED else ""
 
 
-def _times(each: FrameStretch) -> tuple[str, str, str]:
-    return each.when(0), each.when(-1), f"{len(each.image):,}"
+def _times(stretch: FrameStretch) -> tuple[str, str, str]:
+    return stretch.when(0), stretch.when(-1), f"{len(stretch.image):,}"
 
 
 _CELL = (78.0, 34.0)
@@ -267,15 +267,15 @@ def frame_sketch(voyage: LabelledVoyage, judged: ClassifiedDetections, stretch: 
     labelled, matched = voyage.labelled, judged.observed.matched
     part = _Part.around(stretch.boxes_px[middle], labelled.images.sizes_px[image])
     sought = np.flatnonzero(matched.sought & (labelled.annotations.image == image))
-    found = matched.detection[sought] >= 0
+    hits = matched.detection[sought] >= 0
     unmatched = matched.false[labelled.results.image[matched.false] == image]
     boxes = labelled.annotations.boxes_px
     title = f"{stretch.camera}, {when}: {stretch.what}"
     content = [
         *_horizon(labelled.images.half_planes[image], part),
-        *(_box(part.of(each), _MATCHED) for each in boxes[sought[found]]),
-        *(_box(part.of(each), _MISSED, dashed=True) for each in boxes[sought[~found]]),
-        *(_box(part.of(each), _UNMATCHED) for each in labelled.results.boxes_px[unmatched]),
+        *(_box(part.of(box), _MATCHED) for box in boxes[sought[hits]]),
+        *(_box(part.of(box), _MISSED, dashed=True) for box in boxes[sought[~hits]]),
+        *(_box(part.of(box), _UNMATCHED) for box in labelled.results.boxes_px[unmatched]),
         _ring(part.of(stretch.boxes_px[middle])),
     ]
     inner = f'x="0" y="{_TITLE:g}" width="{_SKETCH_WIDTH:g}" height="{part.height:.1f}"'

@@ -26,7 +26,7 @@ from modsim3d.scene.scene import Scene
 _MIN_PART = 1e-3  # a replicate whose rest is not positive keeps this share of a variance
 _MAX_CORRELATION = 0.999
 _ALIKE = 0.15  # by which share standard deviations as measured may differ from those of the law
-_FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
+_FIRST, _SECOND = (np.array(column) for column in zip(*ERROR_PAIRS, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,12 +208,12 @@ class CorrectedDetector:
         less = f"; less what registration found of {counted(self.moved, 'vessel')}" if self.moved else ""
         positions = f"positions to {noise.position_m:g} m in each direction, for {noise.position_s:g} s"
         yield f"errors of truth: {positions}{uncertain}{less}"
-        for name, found in zip(self.learned.observed.states, self.states, strict=True):
+        for name, state in zip(self.learned.observed.states, self.states, strict=True):
             where = f"states.{name}.box_error.covariance"
-            if found is None:
+            if state is None:
                 yield f"{where}: an upper bound; too few matches tell how errors of truth show in it"
-            elif found.bounds:
-                which = "x, y, width and height" if len(found.bounds) == 4 else ", ".join(found.bounds)
+            elif state.bounds:
+                which = "x, y, width and height" if len(state.bounds) == 4 else ", ".join(state.bounds)
                 yield (
                     f"{where}: an upper bound in {which}, for it is not surely larger than what errors of truth give; "
                     "correlations with it are unknown"
@@ -233,23 +233,23 @@ class CorrectedDetector:
 
     def components(self) -> Iterator[ComponentNoise]:
         """The errors of each state and component of boxes."""
-        for name, found in zip(self.learned.observed.states, self.states, strict=True):
-            if found is None:
+        for name, state in zip(self.learned.observed.states, self.states, strict=True):
+            if state is None:
                 continue
-            unit = "px" if found.errors.unit != "relative" else "of the side"
-            columns = np.stack([found.before, found.noise_std, found.at_least, found.after])
+            unit = "px" if state.errors.unit != "relative" else "of the side"
+            columns = np.stack([state.before, state.noise_std, state.at_least, state.after])
             for k, component in enumerate(("x", "y", "width", "height")):
-                yield ComponentNoise(name, component, unit, tuple(columns[:, k].tolist()), not found.taken_off[k])
+                yield ComponentNoise(name, component, unit, tuple(columns[:, k].tolist()), not state.taken_off[k])
 
     def rows(self) -> list[tuple[str, ...]]:
         """A row of `HEADER` for each state and component."""
         return [
             (
-                *(each.state, each.component, each.unit),
-                *("–" if np.isnan(std) else f"{std:.3g}" for std in each.std),
-                "upper bound" if each.upper_bound else "",
+                *(row.state, row.component, row.unit),
+                *("–" if np.isnan(std) else f"{std:.3g}" for std in row.std),
+                "upper bound" if row.upper_bound else "",
             )
-            for each in self.components()
+            for row in self.components()
         ]
 
 
@@ -309,9 +309,9 @@ def corrected_report(
     report: LearnReport, scene: Scene, views: Sequence[View], noise: ReferenceNoise
 ) -> tuple[LearnReport, CorrectedDetector]:
     """Report with learned numbers without errors of truth, and with remarks that say so."""
-    found = subtract_reference_error(report.learned, scene, views, noise, report.level)
-    remarks = (*report.remarks_on_data, *found.sentences())
-    return replace(report, learned=found.learned, remarks_on_data=remarks), found
+    detector = subtract_reference_error(report.learned, scene, views, noise, report.level)
+    remarks = (*report.remarks_on_data, *detector.sentences())
+    return replace(report, learned=detector.learned, remarks_on_data=remarks), detector
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +330,7 @@ class _Jacobians:
         pairs, labelled = learned.observed.pairs, learned.observed.labelled
         identity, vessel = labelled.annotations.identity[pairs.rows], np.full(len(pairs), -1)
         moved = np.full(len(pairs), -1)
-        places, found = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
+        places, blocks = [np.empty(0, dtype=np.int64)], [np.empty((0, 4, 8))]
         for number, view in enumerate(views):
             some = np.unique(np.linspace(0, len(view.images) - 1, _MAX_FRAMES).round().astype(np.int64))
             frame = np.full(len(labelled.images), -1)
@@ -342,37 +342,37 @@ class _Jacobians:
             if view.moved is not None:
                 moved[place] = np.where(view.moved[vessel[place]], number * len(scene.vessels) + vessel[place], -1)
             jacobians = box_jacobians(scene, view, frame[pairs.image[place]], vessel[place])
-            told = np.isfinite(jacobians).all(axis=(1, 2))
-            places.append(place[told])
-            found.append(jacobians[told])
+            finite = np.isfinite(jacobians).all(axis=(1, 2))
+            places.append(place[finite])
+            blocks.append(jacobians[finite])
         place = np.concatenate(places)
         time_s = labelled.images.time_s[pairs.image[place]]
-        return cls(place, np.concatenate(found), time_s, vessel[place], moved[place])
+        return cls(place, np.concatenate(blocks), time_s, vessel[place], moved[place])
 
     def errors(self, pairs: Pairs, chosen: Mask, relative: bool, noise: ReferenceNoise) -> ReferenceErrors | None:
         """Errors of truth of some pairs; None of too few."""
-        ours = chosen[self.place]
-        if ours.sum() < _MIN_PAIRS:
+        subset = chosen[self.place]
+        if subset.sum() < _MIN_PAIRS:
             return None
-        unit_px = pairs.sides_px[self.place[ours]] if relative else np.ones((int(ours.sum()), 4))
-        columns = self.jacobians[ours], self.time_s[ours], self.vessel[ours]
-        return ReferenceErrors(*columns, noise, unit_px, self.moved[ours])
+        unit_px = pairs.sides_px[self.place[subset]] if relative else np.ones((int(subset.sum()), 4))
+        columns = self.jacobians[subset], self.time_s[subset], self.vessel[subset]
+        return ReferenceErrors(*columns, noise, unit_px, self.moved[subset])
 
 
-def _measured(learned: Estimates, ours: Mask, relative: bool) -> Array:
+def _measured(learned: Estimates, subset: Mask, relative: bool) -> Array:
     """Covariances of the errors of some pairs (m,) in each replicate, shape (rows, 4, 4)."""
     pairs = learned.observed.pairs
-    _, std, correlation = moments(learned.resampling, pairs.image[ours], pairs.errors(ours, relative))
-    return np.stack([covariance(*each) for each in zip(np.nan_to_num(std), np.nan_to_num(correlation), strict=True)])
+    _, std, correlation = moments(learned.resampling, pairs.image[subset], pairs.errors(subset, relative))
+    return np.stack([covariance(*row) for row in zip(np.nan_to_num(std), np.nan_to_num(correlation), strict=True)])
 
 
-def _changes(learned: Estimates, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
+def _changes(learned: Estimates, subset: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
     """Standard deviations of errors' changes to the next frame less those of truth, given variances (4,), or NaN."""
-    pairs, place = learned.observed.pairs, np.flatnonzero(ours)
+    pairs, place = learned.observed.pairs, np.flatnonzero(subset)
     steps = steps_between(learned.observed.labelled, pairs.rows[place])
     if len(steps) < _MIN_PAIRS:
         return np.full(4, np.nan)
-    errors = pairs.errors(ours, relative)
+    errors = pairs.errors(subset, relative)
     apart = np.abs(errors[steps.later] - errors[steps.earlier])
     change = (MAD_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
     return np.asarray(np.sqrt(np.maximum(change - noise * -np.expm1(-steps.apart_s / lasting_s).mean(), 0)))
@@ -381,5 +381,5 @@ def _changes(learned: Estimates, ours: Mask, relative: bool, noise: Array, lasti
 def _part_of_truth(states: Sequence[Deconvolution | None], pairs: Pairs, rows: int) -> Array:
     """Share of the whitened errors of all states that was taken off, shape (rows,)."""
     counts = np.bincount(pairs.state, minlength=len(states)).astype(np.float64)
-    parts = np.stack([np.zeros(rows) if each is None else each.share for each in states])
+    parts = np.stack([np.zeros(rows) if state is None else state.share for state in states])
     return np.asarray(np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6))

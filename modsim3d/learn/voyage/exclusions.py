@@ -89,16 +89,16 @@ class ReportAge:
     def at(self, times_s: Array) -> Presence:
         """Knowledge of the places at ascending times within the scene, (n,)."""
         count, vessels = len(times_s), len(self._scene.vessels)
-        reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
+        reason = {flaw: np.zeros((count, vessels), dtype=bool) for flaw in Reason}
         beyond, since_s = np.zeros((count, vessels), dtype=bool), np.zeros((count, vessels))
-        known = Presence(reason, beyond, since_s, Poses.absent(count, vessels))
+        status = Presence(reason, beyond, since_s, Poses.absent(count, vessels))
         for column, name in enumerate(self._scene.vessel_names):
             steps = np.flatnonzero(self._poses.present[:, column])
             if len(steps):
-                self._fill(known, column, name, steps, times_s)
-        return known
+                self._fill(status, column, name, steps, times_s)
+        return status
 
-    def _fill(self, known: Presence, column: int, name: str, steps: Indices, times_s: Array) -> None:
+    def _fill(self, status: Presence, column: int, name: str, steps: Indices, times_s: Array) -> None:
         """Fill in the column of a vessel that is there at some steps, (k,)."""
         at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
         early, late = times_s < at_s[0] - NEAR_S, times_s > at_s[-1] + NEAR_S
@@ -111,20 +111,22 @@ class ReportAge:
         speed = np.linalg.norm(way_m, axis=1) / span_s
         jumped = speed > MAX_KN * KNOT_M_S
         off = (steps[after] - steps[before] > 1) & (times_s - at_s[before] > NEAR_S) & inside
-        there = inside & ~off
+        present = inside & ~off
         beyond = ~inside & (times_s >= at_s[0] - BEYOND_S) & (times_s <= at_s[-1] + BEYOND_S)
-        known.reason[Reason.OFF][:, column], known.beyond[:, column] = off, beyond
-        known.reason[Reason.JUMP][:, column] = there & jumped
+        status.reason[Reason.OFF][:, column], status.beyond[:, column] = off, beyond
+        status.reason[Reason.JUMP][:, column] = present & jumped
         apart_s = np.minimum(np.abs(times_s - at_s[before]), np.abs(times_s - at_s[after]))
-        known.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
+        status.since_s[:, column] = np.where(off | beyond, apart_s, 0.0)
         way_m[~inside & jumped] = 0
         start = np.where(late, after, before)
-        known.guessed.present[:, column] = off | beyond
-        known.guessed.positions_m[:, column] = places_m[start] + ((times_s - at_s[start]) / span_s)[:, None] * way_m
-        known.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
-        self._fill_reports(known, column, name, times_s, there, speed)
+        status.guessed.present[:, column] = off | beyond
+        status.guessed.positions_m[:, column] = places_m[start] + ((times_s - at_s[start]) / span_s)[:, None] * way_m
+        status.guessed.headings_rad[:, column] = self._poses.headings_rad[steps[before], column]
+        self._fill_reports(status, column, name, times_s, present, speed)
 
-    def _fill_reports(self, known: Presence, column: int, name: str, times_s: Array, there: Mask, speed: Array) -> None:
+    def _fill_reports(
+        self, status: Presence, column: int, name: str, times_s: Array, present: Mask, speed: Array
+    ) -> None:
         """Fill in what the reports of a vessel say of times (n,), given whether it is there, and its speed in m/s."""
         used_s = self._reports.used_s.get(name) if self._reports else None
         if self._reports is None or used_s is None or not len(used_s):
@@ -133,11 +135,11 @@ class ReportAge:
         last_s, next_s = used_s[np.maximum(previous, 0)], used_s[np.minimum(previous + 1, len(used_s) - 1)]
         nearest_s = np.minimum(np.abs(times_s - last_s), np.abs(next_s - times_s))
         least_s = np.where(speed < SLOW_KN * KNOT_M_S, max(self.stale_s, SLOW_STALE_S), self.stale_s)
-        known.reason[Reason.STALE][:, column] = there & (nearest_s > least_s) & (speed > LYING_M_S)
+        status.reason[Reason.STALE][:, column] = present & (nearest_s > least_s) & (speed > LYING_M_S)
         jumps_s = self._reports.jumps_s.get(name, np.empty(0))
         jumps_between = np.searchsorted(jumps_s, next_s) > np.searchsorted(jumps_s, last_s)
-        known.reason[Reason.JUMP][:, column] |= there & jumps_between
-        known.since_s[:, column] = np.where(known.guessed.present[:, column], known.since_s[:, column], nearest_s)
+        status.reason[Reason.JUMP][:, column] |= present & jumps_between
+        status.since_s[:, column] = np.where(status.guessed.present[:, column], status.since_s[:, column], nearest_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,27 +157,27 @@ def exclusions(
 ) -> Exclusions:
     """Rows and regions left out of n frames at ascending times (n,), given the camera's poses and the truth's rows."""
     rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
-    counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
+    counts = {flaw: np.zeros(len(scene.vessels), dtype=np.int64) for flaw in Reason}
     beyond = np.zeros(len(scene.vessels), dtype=np.int64)
     length = max(1, _AT_ONCE // len(scene.vessels))
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
-        known = fresh.at(times_s[frames])
+        status = fresh.at(times_s[frames])
         start, stop = np.searchsorted(seen.frame, (frames[0], frames[-1] + 1))
         part = seen.take(slice(start, stop)).later(-first)
-        for each, holds in known.reason.items():
-            ours = holds[part.frame, part.vessel]
-            rows[start:stop] |= ours
-            counts[each] += np.bincount(part.vessel[ours], minlength=len(scene.vessels))
+        for flaw, holds in status.reason.items():
+            unsure = holds[part.frame, part.vessel]
+            rows[start:stop] |= unsure
+            counts[flaw] += np.bincount(part.vessel[unsure], minlength=len(scene.vessels))
         look = CameraPoses(camera_poses.camera_R_world[frames], camera_poses.positions_m[frames])
-        boxes.append(_grown(part.take(rows[start:stop]), camera, look, known).boxes_px)
-        away = _guessed_regions(scene, camera, look, known)
-        is_beyond = known.beyond[away.frame, away.vessel]
+        boxes.append(_grown(part.take(rows[start:stop]), camera, look, status).boxes_px)
+        away = _guessed_regions(scene, camera, look, status)
+        is_beyond = status.beyond[away.frame, away.vessel]
         beyond += np.bincount(away.vessel[is_beyond], minlength=len(scene.vessels))
         counts[Reason.OFF] += np.bincount(away.vessel[~is_beyond], minlength=len(scene.vessels))
         pieces.append(away.later(first))
-    told = (*_sentences(scene, counts, len(times_s), fresh.stale_s), *_beyond_sentences(beyond))
-    return Exclusions(rows, np.concatenate(boxes), Regions.join(pieces), told)
+    notes = (*_sentences(scene, counts, len(times_s), fresh.stale_s), *_beyond_sentences(beyond))
+    return Exclusions(rows, np.concatenate(boxes), Regions.join(pieces), notes)
 
 
 _NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0))
@@ -186,7 +188,7 @@ def _sentences(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stal
     limit = f"{stale_s:g} s" + (f" ({SLOW_STALE_S:g} s below {SLOW_KN:g} kn)" if stale_s < SLOW_STALE_S else "")
     for column, name in enumerate(scene.vessel_names):
         if parts := [
-            f"{each.value.format(limit=limit)} in {count[column]:,}" for each, count in counts.items() if count[column]
+            f"{flaw.value.format(limit=limit)} in {count[column]:,}" for flaw, count in counts.items() if count[column]
         ]:
             yield f"vessel '{name}' is left out of frames: its AIS is {'; '.join(parts)} of {frames:,}"
 
@@ -201,20 +203,20 @@ def _beyond_sentences(beyond: Indices) -> Iterator[str]:
         )
 
 
-def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Presence) -> Regions:
+def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, status: Presence) -> Regions:
     """Regions where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
-    poses, frames = known.guessed, np.arange(len(known.since_s))
+    poses, frames = status.guessed, np.arange(len(status.since_s))
     places = PosesInWaves(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
     sight = line_of_sight(camera, camera_poses, frames, scene.vessels, places, (), scene.sea == "curved")
     outlines = sight.outlines(as_shoeboxes=True)
-    found = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
-    return _grown(found, camera, camera_poses, known)
+    regions = Regions(outlines.frame, outlines.occluder, outlines.boxes_px, outlines.depth_m)
+    return _grown(regions, camera, camera_poses, status)
 
 
-def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Presence) -> Regions:
+def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, status: Presence) -> Regions:
     """Regions as much larger as places may be off, across the line of sight or along it. A vessel at distance r that is
     nearer by d is larger, and its waterline lower, by d / (r − d); one that is farther moves by less."""
-    off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
+    off_m = ALWAYS_OFF_M + OFF_M_S * status.since_s[regions.frame, regions.vessel]
     depth_m = np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
     share = off_m / np.maximum(depth_m - off_m, off_m)  # at most 1, which is off by half the distance
     low, high = regions.boxes_px[:, :2], regions.boxes_px[:, 2:]

@@ -63,7 +63,7 @@ def camera_truth(
         looks.append(sight.camera_poses)
     truth = concatenate(parts)
     truth = truth.with_annotated(annotated_rows(truth, scene.annotation))
-    rotations, places = (np.concatenate([getattr(each, name) for each in looks]) for name in _POSES)
+    rotations, places = (np.concatenate([getattr(look, name) for look in looks]) for name in _POSES)
     return CameraTruth(truth, eye.intrinsics.sea_half_plane(rotations), CameraPoses(rotations, places))
 
 
@@ -117,7 +117,7 @@ def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
         ]
         first_image += len(part.labelled.images)
         first_identity += int(part.labelled.annotations.identity.max(initial=-1)) + 1
-    registered = tuple(each for part in parts for each in part.registered)
+    registered = tuple(fit for part in parts for fit in part.registered)
     return LabelledVoyage(joined([part.labelled for part in parts]), parts[0].scene, tuple(views), registered)
 
 
@@ -125,15 +125,15 @@ def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> Label
     """Frames of a log with the scene's truth, rendered as that of a run. Vessels whose AIS is stale, jumps or is off
     count neither for nor against a detector. Raises ModsimError if no frame is within the scene, boxes fit its vessels
     in another reading, or the truth cannot be made."""
-    known = _prior_means(options)
-    log = replace(log, scene=known.scene_of(log.scene))
+    means = _prior_means(options)
+    log = replace(log, scene=means.scene_of(log.scene))
     reports = read_reports(log.scene.path)
     fresh = ReportAge(log.scene, reports, options.stale_s)
     with open_renderer(log.scene) as renderer:
-        parts = [_CameraSet(log, each, fresh, options, renderer).voyage() for each in log.cameras]
+        parts = [_CameraSet(log, camera, fresh, options, renderer).voyage() for camera in log.cameras]
     notes = list(log.notes)
-    if known.delay_s:
-        notes.append(f"reports of vessels are taken to be {known.delay_s:g} s late, as was given")
+    if means.delay_s:
+        notes.append(f"reports of vessels are taken to be {means.delay_s:g} s late, as was given")
     if reports is not None and not reports.used_s:
         notes.append(f"{log.scene.title}: has no report times beside it, so stale AIS is not left out: make it again")
     for part in parts:
@@ -204,8 +204,8 @@ class _CameraSet:
         view = View(self.camera, self.poses, np.arange(len(self.times_s)), moved=self.moved)
         registered = []
         if self.registration is not None:
-            known = _prior_means(self.options)
-            registered = [CameraFit(self.log.source, self.registration, self.frames.clock_s, known)]
+            means = _prior_means(self.options)
+            registered = [CameraFit(self.log.source, self.registration, self.frames.clock_s, means)]
         return LabelledVoyage(self._labelled(), self.scene, (view,), tuple(registered))
 
     def _labelled(self) -> LabelledSet:
@@ -262,11 +262,11 @@ def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
     """Whether the vessel that carries a camera is in the scene at some times, shape (n,)."""
     if vessel is None:
         return np.ones(len(times_s), dtype=bool)
-    there = scene.poses.poses(0, scene.steps).present[:, scene.vessel_names.index(vessel)]
+    present = scene.poses.poses(0, scene.steps).present[:, scene.vessel_names.index(vessel)]
     every_s = scene.times_s(0, scene.steps)
     before = np.clip(np.searchsorted(every_s, times_s + NEAR_S, side="right") - 1, 0, len(every_s) - 1)
     after = np.where(times_s - every_s[before] > NEAR_S, np.minimum(before + 1, len(every_s) - 1), before)
-    return there[before] & there[after]
+    return present[before] & present[after]
 
 
 def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None) -> Iterator[str]:
@@ -288,21 +288,21 @@ _HEAD = (
 def scene_files(scene: Scene, registered: Sequence[CameraFit], folder: Path) -> dict[Path, bytes | str]:
     """The files of a copy of a scene, for a folder, whose cameras have the registered values: `scene.yaml`, so that the
     folder stands for it, and what `modsim3d ais` wrote beside it. Raises ModsimError if a camera is there twice."""
-    names = [each.registration.camera for each in registered]
+    names = [fit.registration.camera for fit in registered]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ModsimError(f"--write-scene: camera '{twice[0]}' was registered in several logs: join them, or give one")
     cameras = {name: dict(keys) for name, keys in scene.copy.document["cameras"].items()}
-    for each in registered:
-        cameras[each.registration.camera] = _camera_keys(cameras[each.registration.camera], each.registration)
+    for fit in registered:
+        cameras[fit.registration.camera] = _camera_keys(cameras[fit.registration.camera], fit.registration)
     document = {**scene.copy.document, "cameras": cameras}
-    found = _files_beside(scene)
+    files = _files_beside(scene)
     if isinstance(document.get("vessels"), dict):
-        found[Path(_VESSELS)], document["vessels"] = json_text(document["vessels"]), _VESSELS
+        files[Path(_VESSELS)], document["vessels"] = json_text(document["vessels"]), _VESSELS
     beside = (scene.path.parent / name for name in (REPORT, REPORT_TIMES))
-    found |= {Path(path.name): path.read_bytes() for path in beside if path.is_file()}
-    found[Path(REGISTRATION)] = json_text(_content(scene, registered))
-    found[Path(SCENE_FILE)] = yaml_text(document, [line.format(name=scene.name) for line in _HEAD])
-    return {folder / name: content for name, content in found.items()}
+    files |= {Path(path.name): path.read_bytes() for path in beside if path.is_file()}
+    files[Path(REGISTRATION)] = json_text(_content(scene, registered))
+    files[Path(SCENE_FILE)] = yaml_text(document, [line.format(name=scene.name) for line in _HEAD])
+    return {folder / name: content for name, content in files.items()}
 
 
 def _files_beside(scene: Scene) -> dict[Path, bytes | str]:
@@ -335,14 +335,14 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
 def _content(scene: Scene, registered: Sequence[CameraFit]) -> dict[str, Any]:
     """Registered values: the clock to add to the log's times, else the noted one; the scene has the others already."""
     cameras = dict(noted_cameras(scene.path))
-    for each in registered:
-        cameras[each.registration.camera] = {
-            "log": each.source,
-            "clock_s": each.clock_s + each.registration.values["clock_s"],
-            "known": each.known.by_name(),
+    for fit in registered:
+        cameras[fit.registration.camera] = {
+            "log": fit.source,
+            "clock_s": fit.clock_s + fit.registration.values["clock_s"],
+            "known": fit.known.by_name(),
             "added": {
-                found.name: {"value": found.value, "low": found.low, "high": found.high, "held": found.held or None}
-                for found in each.registration.estimates
+                entry.name: {"value": entry.value, "low": entry.low, "high": entry.high, "held": entry.held or None}
+                for entry in fit.registration.estimates
             },
         }
     return {"format": 1, "cameras": cameras}

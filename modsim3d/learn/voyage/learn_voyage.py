@@ -127,8 +127,8 @@ class VoyageRequest:
         registration = self.registration
         if registration is None:
             least = MIN_CONFIDENCE if self.request.confidence is None else self.request.confidence
-            known, fixed = parse_known(self.known), parse_fixed(self.fixed)
-            registration = RegistrationOptions(fixed, self.position_m, least, attitude, known)
+            means, fixed = parse_known(self.known), parse_fixed(self.fixed)
+            registration = RegistrationOptions(fixed, self.position_m, least, attitude, means)
         names = self.request.conditions or (truth.CONDITION,) * len(self.logs)
         cameras = self.cameras * (len(self.logs) // len(self.cameras))
         scene_logs, read = [], set()
@@ -140,16 +140,16 @@ class VoyageRequest:
         check_stretches(self.stretches, np.concatenate([log.time_s for log in scene_logs]))
         stale_s = stale_limit_s(self.scene, self.stale_s)
         options_of = (truth.VoyageOptions(registration, stale_s, attitude, name) for name in names)
-        return truth.joined_voyages([truth.labelled_voyage(*each) for each in zip(scene_logs, options_of, strict=True)])
+        return truth.joined_voyages([truth.labelled_voyage(*pair) for pair in zip(scene_logs, options_of, strict=True)])
 
     def learn(self, voyage: LabelledVoyage, read: Sequence[Path], call: str) -> VoyageResult:
         """Learn a detector from the logs with the truth of the scene. `read` are the files that were read for it, and
         `call` is the command, or the call from Python, for the page. Raises ModsimError if nothing can be learned."""
         settings = self.request.settings(voyage.labelled, self.position_m)
-        report, told = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
+        report, summary = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
         files = (*dict.fromkeys([*read, *self.files]),)
         sources = Sources((self.scene.path,) * len(self.logs), self.logs, (), files, settings, call)
-        return VoyageResult(report, files, sources, voyage_sections(told), voyage_report=told)
+        return VoyageResult(report, files, sources, voyage_sections(summary), voyage_report=summary)
 
 
 def learn_voyage(

@@ -64,7 +64,7 @@ class SceneLog:
     @property
     def time_s(self) -> Array:
         """Times of all frames by the log's own clock, shape (n,)."""
-        return np.concatenate([each.time_s - each.clock_s for each in self.cameras])
+        return np.concatenate([camera.time_s - camera.clock_s for camera in self.cameras])
 
 
 def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> SceneLog:
@@ -74,7 +74,7 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
     log, numbers = _with_cameras(log, scene, camera)
     _check_sizes(log, scene, numbers)
     odd = _check_boxes(log, scene, numbers)
-    labels, of_vessel, of_log, said = _labels(log, scene)
+    labels, of_vessel, of_log, remarks = _labels(log, scene)
     clock = SceneClock.of(scene)
     # What is noted is of the detector's clock, and a run has the scene's.
     clocks_s = [0.0 if log.of_run else noted_clock_s(scene.path, scene.cameras[number].name) for number in numbers]
@@ -92,12 +92,12 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
         columns = log.frame[rows] - frames[0], label[rows], log.boxes_px[rows], log.confidence[rows]
         cameras.append(CameraLog(number, times_s[frames], names, *columns, clocks_s[index]))
         if clocks_s[index]:
-            said.append(
+            remarks.append(
                 f"{log.source}: {clocks_s[index]:+.3f} s are added to its times of camera '{name}', which is clock_s "
                 f"in {REGISTRATION} beside the scene: set that to 0 if the clock has been set right since"
             )
-    said += _said_of_times(log)
-    notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *said, *odd)
+    remarks += _said_of_times(log)
+    notes = (*log.notes, f"{log.source}: its frames are known from {log.frames_from}", *remarks, *odd)
     return SceneLog(log.source, scene, clock.length_s, labels, of_vessel, tuple(cameras), notes, log.form)
 
 
@@ -116,8 +116,8 @@ def _said_of_times(log: DetectionLog) -> Iterator[str]:
 def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[DetectionLog, list[int]]:
     """The log of the wanted cameras, and the number in the scene of each of its cameras."""
     names = [camera.name for camera in scene.cameras]
-    known = {str(number): number for number in range(len(names))}  # as the sequences of `modsim3d export`
-    known |= {ros_name(name): k for k, name in enumerate(names)} | {name: k for k, name in enumerate(names)}
+    numbers = {str(number): number for number in range(len(names))}  # as the sequences of `modsim3d export`
+    numbers |= {ros_name(name): k for k, name in enumerate(names)} | {name: k for k, name in enumerate(names)}
     if None in log.cameras and len(log.cameras) > 1:
         problem = "some frames or detections name a camera and others do not: name it in all, or none"
         raise InputError(log.source, [problem])
@@ -125,10 +125,10 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
         if wanted not in names:
             raise InputError("--camera", [f"{scene.title} has no camera {shown(wanted)} ({nearest(wanted, names)})"])
         number = names.index(wanted)
-        given = [index for index, name in enumerate(log.cameras) if known.get(str(name)) == number]
+        given = [index for index, name in enumerate(log.cameras) if numbers.get(str(name)) == number]
         if not given and len(log.cameras) > 1:
-            there = ", ".join(map(shown, log.cameras))
-            raise InputError(log.source, [f"has no frame of camera {shown(wanted)} (its cameras: {there})"])
+            cameras = ", ".join(map(shown, log.cameras))
+            raise InputError(log.source, [f"has no frame of camera {shown(wanted)} (its cameras: {cameras})"])
         chosen = given[0] if given else 0
         log = log.take(log.camera == chosen)
         return replace(log, cameras=(log.cameras[chosen],), camera=np.zeros_like(log.camera)), [number]
@@ -138,10 +138,10 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
             problem = f"{which}: give --camera, once for all logs or for each in their order"
             raise InputError(log.source, [problem])
         return log, [0]
-    if wrong := [str(name) for name in log.cameras if name not in known]:
+    if wrong := [str(name) for name in log.cameras if name not in numbers]:
         hint = f"{nearest(wrong[0], names)}; if the log is of one camera, --camera says which"
         raise InputError(log.source, [f"the scene has no camera {shown(wrong[0])} ({hint})"])
-    return log, [known[str(name)] for name in log.cameras]
+    return log, [numbers[str(name)] for name in log.cameras]
 
 
 def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:
@@ -151,8 +151,8 @@ def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> Non
     if len(wrong):
         first = int(wrong[0])
         camera = scene.cameras[numbers[int(log.camera[first])]]
-        found, needed = (" × ".join(f"{side:g}" for side in size[first].tolist()) for size in (log.size_px, sizes))
-        raise InputError(log.source, [f"has images of {found} px, and camera '{camera.name}' of the scene {needed} px"])
+        image, needed = (" × ".join(f"{side:g}" for side in size[first].tolist()) for size in (log.size_px, sizes))
+        raise InputError(log.source, [f"has images of {image} px, and camera '{camera.name}' of the scene {needed} px"])
 
 
 def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> list[str]:
@@ -179,23 +179,23 @@ def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> lis
 
 def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, Indices | None, list[str]]:
     """Labels, those of vessels (V,) and of the log's, None if all have the first; and what was taken for granted."""
-    known = scene.detector.labels
+    labels = scene.detector.labels
     used = tuple(dict.fromkeys(vessel.label for vessel in scene.vessels))
     alike = np.zeros(len(scene.vessels), dtype=np.int64)
     if not log.labels:
-        label = known[0] if len(known) == 1 else ONE_LABEL
-        said = [] if len(known) == 1 else [f"{log.source}: names no classes, so all vessels are '{label}'"]
-        return (label,), alike, None, said
-    wrong = [name for name in log.labels if name not in known]
+        label = labels[0] if len(labels) == 1 else ONE_LABEL
+        notes = [] if len(labels) == 1 else [f"{log.source}: names no classes, so all vessels are '{label}'"]
+        return (label,), alike, None, notes
+    wrong = [name for name in log.labels if name not in labels]
     if not wrong:
-        of_vessel = np.array([known.index(vessel.label) for vessel in scene.vessels], dtype=np.int64)
-        return known, of_vessel, np.array([known.index(name) for name in log.labels], dtype=np.int64), []
+        of_vessel = np.array([labels.index(vessel.label) for vessel in scene.vessels], dtype=np.int64)
+        return labels, of_vessel, np.array([labels.index(name) for name in log.labels], dtype=np.int64), []
     if len(used) == 1:
         names = ", ".join(map(shown, log.labels[:8]))
-        said = [f"{log.source}: all its classes ({names}) are taken for '{used[0]}', the only one of the scene"]
-        return used, alike, None, said
+        notes = [f"{log.source}: all its classes ({names}) are taken for '{used[0]}', the only one of the scene"]
+        return used, alike, None, notes
     problem = (
-        f"the scene has no label {shown(wrong[0])} ({nearest(wrong[0], known)}); its vessels and the detector must "
+        f"the scene has no label {shown(wrong[0])} ({nearest(wrong[0], labels)}); its vessels and the detector must "
         "have the same labels, or all vessels one, as modsim3d ais gives them; --labels names the classes of MOT"
     )
     raise InputError(log.source, [problem])

@@ -144,12 +144,12 @@ class _PlacedVessels:
         poses = view.poses
         cameras = scene.camera_poses(view.camera, poses, np.arange(len(view.images)))
         cameras = CameraPoses(cameras.camera_R_world[frame], cameras.positions_m[frame])
-        padded = stacked([hull_of(each.solid) for each in scene.vessels])
+        padded = stacked([hull_of(ship.solid) for ship in scene.vessels])
         heading = poses.poses.headings_rad[frame, vessel]
         present = poses.poses.present[frame, vessel]
         positions = np.where(present[:, None], poses.poses.positions_m[frame, vessel], np.nan)
         turned = np.swapaxes(world_R_vehicle(heading), -1, -2) @ poses.world_R_vessel[frame, vessel]
-        extents = np.array([each.extents_m for each in scene.vessels])[vessel]
+        extents = np.array([ship.extents_m for ship in scene.vessels])[vessel]
         curved = scene.sea == "curved"
         return cls(view.camera, cameras, padded[vessel], extents, positions, heading, turned, curved)
 
@@ -197,12 +197,12 @@ class ReferenceErrors:
     def covariances(self, draws: int, seed: int) -> Array:
         """Covariance of the errors about their mean in each draw, shape (draws, 4, 4)."""
         rng, count = np.random.default_rng([seed, 23]), max(len(self.vessel) - 1, 1)
-        found = [np.empty((0, 4, 4))]
+        parts = [np.empty((0, 4, 4))]
         for errors in self._errors(rng, draws):
             about = errors - errors.mean(axis=1, keepdims=True)
-            found.append(np.swapaxes(about, 1, 2) @ about / count)
+            parts.append(np.swapaxes(about, 1, 2) @ about / count)
         larger = 1 + _KNOWN_TO * special.ndtri((rng.permutation(draws) + 0.5) / max(draws, 1))
-        return np.asarray(np.concatenate(found) * larger[:, None, None] ** 2)
+        return np.asarray(np.concatenate(parts) * larger[:, None, None] ** 2)
 
     def _errors(self, rng: np.random.Generator, draws: int) -> Iterator[Array]:
         """Errors of the boxes, some draws at a time, shape (some, n, 4)."""

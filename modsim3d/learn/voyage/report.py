@@ -40,14 +40,14 @@ def rows_of(rates: Sequence[StateRates], level: float) -> list[tuple[str, ...]]:
     """The rows of the table, with intervals of a level."""
     return [
         (
-            each.state,
-            f"{each.images:,}",
-            f"{each.unmatched:,}",
-            _share(each.vessel_share, level, each.units) if each.mixture else "none",
-            *(_rate(column, level, each.units) for column in (each.lower, each.mixture, each.upper, each.empty)),
-            each.source.value,
+            rate.state,
+            f"{rate.images:,}",
+            f"{rate.unmatched:,}",
+            _share(rate.vessel_share, level, rate.units) if rate.mixture else "none",
+            *(_rate(column, level, rate.units) for column in (rate.lower, rate.mixture, rate.upper, rate.empty)),
+            rate.source.value,
         )
-        for each in rates
+        for rate in rates
     ]
 
 
@@ -93,7 +93,7 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
             but = ", but not in the least rate" if behaviour in (Behaviour.JUMPS, Behaviour.CHANGES_SIZE) else ""
             yield f"{number} as false{but}: {behaviour.in_words}"
     for source in classification.RateSource:
-        states = [each.state for each in rates if each.source is source]
+        states = [rate.state for rate in rates if rate.source is source]
         if states and (judged.kinds.found or judged.stretches):
             where = f" in {', '.join(states)}" if len(states) < len(rates) else ""
             yield f"the rate of false positives{where} is that of {source.value}"
@@ -149,35 +149,35 @@ _UNITS = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELA
 
 def registration_table(registered: CameraFit, scene: Scene) -> Table:
     """The parameters of one camera."""
-    found = registered.registration
-    (camera,) = (each for each in scene.cameras if each.name == found.camera)
-    before, after = _values(camera), _values(found.camera_of(camera))
+    solution = registered.registration
+    (camera,) = (eye for eye in scene.cameras if eye.name == solution.camera)
+    before, after = _values(camera), _values(solution.camera_of(camera))
     before["clock_s"] = f"{registered.clock_s:+.3f} s" if registered.clock_s else "0 s"
-    after["clock_s"] = f"{registered.clock_s + found.values['clock_s']:+.3f} s"
-    lost = {group.held for group in found.groups} - {*BY_RULE, COMMON_DELAY}
+    after["clock_s"] = f"{registered.clock_s + solution.values['clock_s']:+.3f} s"
+    lost = {group.held for group in solution.groups} - {*BY_RULE, COMMON_DELAY}
     rows = tuple(
         (
-            _name(each),
-            before.get(each.name, ""),
-            after.get(each.name, "") if not each.held else "",
-            amount(each.name, each.value, each.unit, each.standard_error) if not each.held else "",
-            _interval(each),
-            "not determined, see below" if each.name in lost else each.held,
+            _name(entry),
+            before.get(entry.name, ""),
+            after.get(entry.name, "") if not entry.held else "",
+            amount(entry.name, entry.value, entry.unit, entry.standard_error) if not entry.held else "",
+            _interval(entry),
+            "not determined, see below" if entry.name in lost else entry.held,
         )
-        for each in (*found.estimates, delay_of(registered), *found.vessels)
+        for entry in (*solution.estimates, delay_of(registered), *solution.vessels)
     )
-    return Table(f"Registration of camera '{found.camera}' in {registered.source}", HEADER, rows)
+    return Table(f"Registration of camera '{solution.camera}' in {registered.source}", HEADER, rows)
 
 
 def registration_lead(registered: CameraFit) -> str:
     """Basis of a registration, and its residuals before and after."""
-    found = registered.registration
-    before = f"{found.rms_before_px:.3g} px" if math.isfinite(found.rms_before_px) else "more than the lens shows"
-    moved = ", with vessels off their reports as fits them best" if found.values.vessels.any() else ""
+    solution = registered.registration
+    before = f"{solution.rms_before_px:.3g} px" if math.isfinite(solution.rms_before_px) else "more than the lens shows"
+    moved = ", with vessels off their reports as fits them best" if solution.values.vessels.any() else ""
     return (
-        f"Camera '{found.camera}' was registered by {len(found.sightings):,} of "
-        f"{counted(found.detections, 'detection')}, of {counted(found.matched_vessels, 'vessel')}: bearings and "
-        f"waterlines are off by {before} with the scene's values and by {found.rms_after_px:.3g} px with the "
+        f"Camera '{solution.camera}' was registered by {len(solution.sightings):,} of "
+        f"{counted(solution.detections, 'detection')}, of {counted(solution.matched_vessels, 'vessel')}: bearings and "
+        f"waterlines are off by {before} with the scene's values and by {solution.rms_after_px:.3g} px with the "
         f"registered ones{moved} (root mean square, by the same matches)."
     )
 
@@ -270,39 +270,39 @@ class VoyageReport:
 def voyage_json(told: VoyageReport) -> dict[str, Any]:
     """Registrations, rates of false positives as bounds, box errors less errors of truth, and coverage."""
     return {
-        "registration": [_registration_content(each) for each in told.voyage.registered],
-        "false_positives_per_image": [_rates(each, told.level) for each in told.rates],
-        "box_errors": [_box_error(each) for each in told.correction.components()],
+        "registration": [_registration_content(fit) for fit in told.voyage.registered],
+        "false_positives_per_image": [_rates(rate, told.level) for rate in told.rates],
+        "box_errors": [_box_error(component) for component in told.correction.components()],
         "coverage": [
             {
-                "camera": each.camera,
-                "bearings_deg": each.bearings_deg.tolist(),
-                "ranges_m": each.ranges_m.tolist(),
-                "matched": each.counts()[0].astype(int).tolist(),
-                "to_be_detected": each.counts()[1].astype(int).tolist(),
+                "camera": coverage.camera,
+                "bearings_deg": coverage.bearings_deg.tolist(),
+                "ranges_m": coverage.ranges_m.tolist(),
+                "matched": coverage.counts()[0].astype(int).tolist(),
+                "to_be_detected": coverage.counts()[1].astype(int).tolist(),
             }
-            for each in told.coverage
+            for coverage in told.coverage
         ],
     }
 
 
 def _registration_content(registered: CameraFit) -> dict[str, Any]:
-    found = registered.registration
+    solution = registered.registration
     return {
-        "camera": found.camera,
+        "camera": solution.camera,
         "log": registered.source,
-        "matches": len(found.sightings),
-        "detections": found.detections,
-        "vessels": found.matched_vessels,
-        "residual_before_px": found.rms_before_px,
-        "residual_after_px": found.rms_after_px,
+        "matches": len(solution.sightings),
+        "detections": solution.detections,
+        "vessels": solution.matched_vessels,
+        "residual_before_px": solution.rms_before_px,
+        "residual_after_px": solution.rms_after_px,
         "clock_before_s": registered.clock_s,
         "parameters": [
-            {"name": each.name, "unit": each.unit, "value": each.value, "low": each.low, "high": each.high}
-            | {"held": each.held or None}
-            for each in (*found.estimates, delay_of(registered), *found.vessels)
+            {"name": entry.name, "unit": entry.unit, "value": entry.value, "low": entry.low, "high": entry.high}
+            | {"held": entry.held or None}
+            for entry in (*solution.estimates, delay_of(registered), *solution.vessels)
         ],
-        "held_by_rule": exchanges(found),
+        "held_by_rule": exchanges(solution),
     }
 
 
@@ -346,42 +346,42 @@ def voyage_sections(told: VoyageReport) -> tuple[Block, ...]:
     return *_registration(told), *_reference(told), *_coverage(told), *_worst(told)
 
 
-def _registration(told: VoyageReport) -> Iterator[Block]:
+def _registration(report: VoyageReport) -> Iterator[Block]:
     yield Heading("Registration")
-    if not told.voyage.registered:
+    if not report.voyage.registered:
         yield Text(NOT_REGISTERED)
-    for each in told.voyage.registered:
-        yield Text(registration_lead(each))
-        yield registration_table(each, told.voyage.scene)
+    for fit in report.voyage.registered:
+        yield Text(registration_lead(fit))
+        yield registration_table(fit, report.voyage.scene)
         yield Text("Cannot be told apart by these data, so that a rule settles it:")
-        yield Items([f"{text[:1].upper()}{text[1:]}.".replace(" -", " −") for text in exchanges(each.registration)])
+        yield Items([f"{text[:1].upper()}{text[1:]}.".replace(" -", " −") for text in exchanges(fit.registration)])
 
 
-def _reference(told: VoyageReport) -> Iterator[Block]:
+def _reference(report: VoyageReport) -> Iterator[Block]:
     yield Heading("What AIS does not see")
-    yield Table(_RATES_TITLE, _HEADS, rows_of(told.rates, told.level))
-    if rows := told.correction.rows():
+    yield Table(_RATES_TITLE, _HEADS, rows_of(report.rates, report.level))
+    if rows := report.correction.rows():
         yield Heading("How well the truth is known")
         yield Table(truth_noise.TITLE, truth_noise.HEADER, rows)
 
 
-def _coverage(told: VoyageReport) -> Iterator[Block]:
+def _coverage(report: VoyageReport) -> Iterator[Block]:
     yield Heading("Coverage of the sea")
-    for coverage in told.coverage:
+    for coverage in report.coverage:
         yield Figure(partial(sea_coverage.coverage_drawing, coverage), _COVERAGE)
         yield sea_coverage.range_table(coverage)
 
 
-def _worst(told: VoyageReport) -> Iterator[Block]:
+def _worst(report: VoyageReport) -> Iterator[Block]:
     yield Heading("The longest without a match")
     for stretches, table_of in (
-        (told.missed, sea_coverage.missed_table),
-        (told.unmatched, sea_coverage.unmatched_table),
+        (report.missed, sea_coverage.missed_table),
+        (report.unmatched, sea_coverage.unmatched_table),
     ):
         yield table_of(stretches)
         if stretches:
-            yield Figure(partial(_sketches, told, stretches[:_DRAWN]), _KEY)
+            yield Figure(partial(_sketches, report, stretches[:_DRAWN]), _KEY)
 
 
-def _sketches(told: VoyageReport, stretches: list[FrameStretch]) -> str:
-    return "".join(sea_coverage.frame_sketch(told.voyage, told.classification, each) for each in stretches)
+def _sketches(report: VoyageReport, stretches: list[FrameStretch]) -> str:
+    return "".join(sea_coverage.frame_sketch(report.voyage, report.classification, stretch) for stretch in stretches)

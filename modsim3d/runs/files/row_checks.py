@@ -75,12 +75,12 @@ class TableRows:
 
     def names(self, column: str, known: Sequence[str], *, nullable: bool = False) -> Indices:
         """A column of names as indices, `NOBODY` for null, shape (n,)."""
-        found = tables.indices(self.table, column, known)
-        wrong = found == NOBODY
+        indices = tables.indices(self.table, column, known)
+        wrong = indices == NOBODY
         if nullable and wrong.any():
             wrong &= self.table[column].is_valid().to_numpy()
         self.refuse(column, wrong, f"one of {', '.join(known[:12])}{', …' if len(known) > 12 else ''}")
-        return found
+        return indices
 
 
 def _text(value: pa.Scalar) -> str:
@@ -233,9 +233,9 @@ def check_together(frames: TableRows, truth: TableRows, detections: TableRows, s
     truth.refuse("detected", detected & (boxes == 0) & strange[positions(frame, of_truth)], right)
     detections.refuse("kind", (kind == MERGED) & strange[positions(frame, drawn)], right)
     counts = count(of_truth[annotated]), count(drawn[own]), count(drawn[~own])
-    for name, found in zip(("n_annotated", "n_detected", "n_false"), counts, strict=True):
+    for name, tally in zip(("n_annotated", "n_detected", "n_false"), counts, strict=True):
         right = "the number in truth.parquet and detections.parquet"
-        frames.refuse(name, tables.integer_column(frames.table, name) != found, right)
+        frames.refuse(name, tables.integer_column(frames.table, name) != tally, right)
 
 
 def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
@@ -249,8 +249,8 @@ def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask
     place = positions(key, drawn * vessels + vessel)
     strange = (vessel != NOBODY) & (place == NOBODY)
     detections.refuse("vessel", strange, "annotated in truth.parquet in this frame")
-    found = np.flatnonzero(own)
+    own_rows = np.flatnonzero(own)
     second = np.ones(len(own), dtype=bool)
-    second[found[np.unique(place[found], return_index=True)[1]]] = False
+    second[own_rows[np.unique(place[own_rows], return_index=True)[1]]] = False
     detections.refuse("vessel", second & own, "in one box of its own in a frame")
     return np.bincount(rows[place[own]], minlength=len(truth.table))

@@ -166,8 +166,8 @@ class RunDirectory:
         """Paths of all files of runs in the folder, also of one that was killed while it put its files in place."""
         begun = read_json(self.work / REPLACES_FILE)
         replaced = begun.get("replaces") if isinstance(begun, dict) else None
-        known = safe_names(replaced) if isinstance(replaced, list) else set()
-        return known | files_of_run(self.folder) | files_of_run(self.work)
+        names = safe_names(replaced) if isinstance(replaced, list) else set()
+        return names | files_of_run(self.folder) | files_of_run(self.work)
 
     def _check_in_the_way(self) -> None:
         """Refuse to replace what no run has written, and what this run reads."""

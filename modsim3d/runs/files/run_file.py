@@ -41,11 +41,11 @@ def _has_every_count(counts: dict[str, float]) -> dict[str, float]:
     return counts
 
 
-def _is_a_check(found: dict[str, float]) -> dict[str, float]:
+def _is_a_check(entries: dict[str, float]) -> dict[str, float]:
     """Refuse what `CheckCounts` does not have."""
-    if wrong := sorted(found.keys() ^ {field.name for field in fields(CheckCounts)}):
+    if wrong := sorted(entries.keys() ^ {field.name for field in fields(CheckCounts)}):
         raise ValueError(f"these entries are missing or unknown: {', '.join(wrong)}")
-    return found
+    return entries
 
 
 _Numbers = dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]]
@@ -173,13 +173,13 @@ def check_same_scene(settings: RunSettings, scene: Scene, source: Path) -> None:
         "cameras": [camera.name for camera in scene.cameras],
         **{f"annotation.{key}": value for key, value in asdict(scene.annotation).items() if key != "check"},
     }
-    found = settings.model_dump() | {f"annotation.{key}": value for key, value in settings.annotation.items()}
+    entries = settings.model_dump() | {f"annotation.{key}": value for key, value in settings.annotation.items()}
     for name, value in expected.items():
-        if name not in found:
+        if name not in entries:
             raise RunDirectoryError(f"{source}: {name} is missing, and {shown(value)} in the run's copy of its scene")
-        if found[name] != value:
+        if entries[name] != value:
             raise RunDirectoryError(
-                f"{source}: {name} is {shown(found[name])}, but {shown(value)} in the run's copy of its scene "
+                f"{source}: {name} is {shown(entries[name])}, but {shown(value)} in the run's copy of its scene "
                 f"({scene.path})"
             )
     if settings.traffic_sha256 not in (None, scene.traffic_sha256()):
@@ -212,13 +212,13 @@ def check_content(path: Path, sha256: str, source: str) -> None:
     """Check that a file has the checksum that the file `source` says it had when it was written. Raises
     RunDirectoryError if it has another, is missing, or cannot be read."""
     try:
-        found = file_sha256(path)
+        digest = file_sha256(path)
     except FileNotFoundError:
         raise RunDirectoryError(f"{path} is missing: {source} lists it") from None
     except OSError as error:
         raise RunDirectoryError(f"{path} cannot be read: {error.strerror or error}") from None
-    if found != sha256:
-        raise RunDirectoryError(f"{path} was changed after the run: its checksum is {found}, {source} has {sha256}")
+    if digest != sha256:
+        raise RunDirectoryError(f"{path} was changed after the run: its checksum is {digest}, {source} has {sha256}")
 
 
 Column = bytes | Sequence[bytes] | Array

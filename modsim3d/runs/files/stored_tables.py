@@ -88,14 +88,14 @@ def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices
 
 def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     """A column of names as indices; a name that the detector does not know is an error."""
-    found = tables.indices(table, name, names)
-    unknown = np.flatnonzero(found == NOBODY)
+    indices = tables.indices(table, name, names)
+    unknown = np.flatnonzero(indices == NOBODY)
     if len(unknown):
         raise RunDirectoryError(
             f"the run has the {name} '{table[name][int(unknown[0])]}', which is not one of the detector file's "
             f"({', '.join(names)}): this detector cannot have made this run"
         )
-    return found
+    return indices
 
 
 _CENTRE_FORM = dict(zip(table_columns.CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
@@ -137,10 +137,10 @@ class StoredTable:
         self._kept: tuple[tuple[int, int], pa.Table] | None = None
         with damage_named(self.path):
             self._metadata = pq.read_metadata(self.path)
-            found, wanted = self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name]
+            footer, wanted = self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name]
             former = [FORMAT_1_DETECTIONS, BEFORE_IOU] if name == "detections" else []
-            self._former = next((schema for schema in former if schema.names == found.names), None)
-            _check_schema(self.path, found, wanted if self._former is None else self._former)
+            self._former = next((schema for schema in former if schema.names == footer.names), None)
+            _check_schema(self.path, footer, wanted if self._former is None else self._former)
             self._steps = self._steps_of_groups()
         rows = [self._metadata.row_group(i).num_rows for i in range(self._metadata.num_row_groups)]
         self._first_row = np.concatenate([[0], np.cumsum(rows, dtype=np.int64)])
@@ -204,9 +204,9 @@ class StoredTable:
         column = self._metadata.schema.names.index("step")
         ranges = []
         for group in range(self._metadata.num_row_groups):
-            found = self._metadata.row_group(group).column(column).statistics
-            if found is not None and found.has_min_max:
-                ranges.append((found.min, found.max))
+            stats = self._metadata.row_group(group).column(column).statistics
+            if stats is not None and stats.has_min_max:
+                ranges.append((stats.min, stats.max))
                 continue
             with pq.ParquetFile(self.path) as file:
                 steps = file.read_row_group(group, columns=["step"], use_threads=False)["step"].drop_null().to_numpy()
@@ -244,9 +244,9 @@ class StoredTables:
         self._own_ship = folder / f"{OWN_SHIP}.parquet"
         if OWN_SHIP in schemas_of(scene):
             with damage_named(self._own_ship):
-                found, wanted = pq.read_schema(self._own_ship), schemas_of(scene)[OWN_SHIP]
-                former = found.names == table_columns.BEFORE_ATTITUDE.names
-                _check_schema(self._own_ship, found, table_columns.BEFORE_ATTITUDE if former else wanted)
+                footer, wanted = pq.read_schema(self._own_ship), schemas_of(scene)[OWN_SHIP]
+                former = footer.names == table_columns.BEFORE_ATTITUDE.names
+                _check_schema(self._own_ship, footer, table_columns.BEFORE_ATTITUDE if former else wanted)
 
     def check_counts(self, counts: dict[str, float]) -> None:
         """Raise RunDirectoryError if a table has another number of rows than by the counts of `run.json`."""
@@ -299,26 +299,26 @@ class StoredTables:
 def _identity(run_file: Path) -> tuple[int, int] | None:
     """Identity of a `run.json`: it is the first file to go and the last to come when a run is replaced."""
     try:
-        found = run_file.stat()
+        status = run_file.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
-def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
+def _check_schema(path: Path, schema: pa.Schema, wanted: pa.Schema) -> None:
     """Raise RunDirectoryError if a column of a table is missing, is not known, or has another type or place."""
-    if found.equals(wanted):  # names and types in their order; tenfold as fast as to ask for each
+    if schema.equals(wanted):  # names and types in their order; tenfold as fast as to ask for each
         return
-    problems = [f"column '{name}' is missing" for name in wanted.names if name not in found.names]
-    problems += [f"column '{name}' is there twice" for name in wanted.names if found.names.count(name) > 1]
-    problems += [f"column '{name}' is unknown" for name in found.names if name not in wanted.names]
+    problems = [f"column '{name}' is missing" for name in wanted.names if name not in schema.names]
+    problems += [f"column '{name}' is there twice" for name in wanted.names if schema.names.count(name) > 1]
+    problems += [f"column '{name}' is unknown" for name in schema.names if name not in wanted.names]
     problems += [
         f"column '{field.name}' has type {field.type}, not {wanted.field(field.name).type}"
-        for field in found
+        for field in schema
         if field.name in wanted.names and field.type != wanted.field(field.name).type
     ]
-    if not problems and found.names != wanted.names:
-        problems = [f"its columns are in another order: {', '.join(found.names)}"]
+    if not problems and schema.names != wanted.names:
+        problems = [f"its columns are in another order: {', '.join(schema.names)}"]
     if problems:
         more = f", and {len(problems) - 1} more" if len(problems) > 1 else ""
         raise RunDirectoryError(f"{path} is not what a run has written: {problems[0]}{more}")

@@ -217,8 +217,8 @@ def flags(table: pa.Table, name: str) -> Mask:
 
 def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     """A column of names as indices, `NOBODY` for null and for a name that is not among them, shape (n,)."""
-    found = pc.index_in(table[name], value_set=pa.array(list(names), pa.string()))
-    return np.asarray(found.fill_null(NOBODY).to_numpy(zero_copy_only=False), dtype=np.int64)
+    index = pc.index_in(table[name], value_set=pa.array(list(names), pa.string()))
+    return np.asarray(index.fill_null(NOBODY).to_numpy(zero_copy_only=False), dtype=np.int64)
 
 
 def frame_numbers(table: pa.Table, scene: Scene) -> Indices:

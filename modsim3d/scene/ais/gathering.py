@@ -70,8 +70,8 @@ class Extent:
 
     def add(self, positions: Positions) -> None:
         """Widen it by some positions."""
-        known = positions.take(~without_position(positions))
-        values = np.stack([known.time_s, known.latitude_deg, known.longitude_deg])
+        points = positions.take(~without_position(positions))
+        values = np.stack([points.time_s, points.latitude_deg, points.longitude_deg])
         self.least = np.minimum(self.least, values.min(axis=1, initial=np.inf))
         self.greatest = np.maximum(self.greatest, values.max(axis=1, initial=-np.inf))
 

@@ -35,12 +35,12 @@ class Options:
     def label(self, group: str) -> str:
         """The label of a vessel of a group: as asked for, the only one of the detector, or the first of the group's
         names that is one; empty if none is, or the detector lacks what is asked for."""
-        known = {_plain(label): label for label in self.detector_labels}
-        only = self.detector_labels[0] if len(known) == 1 else None
+        labels = {_plain(label): label for label in self.detector_labels}
+        only = self.detector_labels[0] if len(labels) == 1 else None
         asked = self.labels.get(group, ship_types()[group].label if self.labels_by_type else only)
         names = ship_types()[group].names if asked is None else [asked]
         usual = asked if only and asked else ""
-        return next((known[_plain(name)] for name in names if _plain(name) in known), usual)
+        return next((labels[_plain(name)] for name in names if _plain(name) in labels), usual)
 
     def check_labels(self, groups: Iterable[str]) -> None:
         """Raise InputError with every group, of those that are there, that has no label of the detector."""

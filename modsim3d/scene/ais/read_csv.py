@@ -40,13 +40,13 @@ class Layout:
 
     def found(self, header: Sequence[str]) -> dict[str, str]:
         """Our name → the file's own name, of the columns that a header has."""
-        known = {_plain_name(name): name for name in header}
-        return {ours: known[_plain_name(name)] for ours, name in self.columns.items() if _plain_name(name) in known}
+        names = {_plain_name(name): name for name in header}
+        return {key: names[_plain_name(name)] for key, name in self.columns.items() if _plain_name(name) in names}
 
     def missing(self, header: Sequence[str]) -> list[str]:
         """Columns that a header lacks and must have."""
-        found = self.found(header)
-        return [self.columns[name] for name in NEEDED if name not in found]
+        names = self.found(header)
+        return [self.columns[name] for name in NEEDED if name not in names]
 
 
 @cache
@@ -111,9 +111,9 @@ def recognise(path: Path) -> Layout | None:
     header = header_names(lines[0])
     layout = layout_of(header)
     if layout is None:
-        known = ", ".join(f"{known.name} ({','.join(known.columns[name] for name in NEEDED)})" for known in layouts())
+        formats = ", ".join(f"{entry.name} ({','.join(entry.columns[name] for name in NEEDED)})" for entry in layouts())
         problem = (
-            f"is none of the formats that are read: NMEA sentences (!AIVDM,...) or CSV with the columns of {known}"
+            f"is none of the formats that are read: NMEA sentences (!AIVDM,...) or CSV with the columns of {formats}"
         )
         raise InputError(source_of(path), [problem + no_commas(lines[0].decode("utf-8", "replace"))])
     if len(header) > MAX_COLUMNS:
@@ -174,7 +174,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
                 continue
             rows = np.flatnonzero([line != b"" for line in block.split(b"\n")]) + begin
             table, skipped = _table(block, path, header, list(columns.values()))
-            table = pa.table({ours: table.column(name) for ours, name in columns.items()})
+            table = pa.table({key: table.column(name) for key, name in columns.items()})
             rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
             nothing = False
             kept = np.delete(rows, skipped)
@@ -186,7 +186,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
             problems = [f"row {row}: does not have the {len(header)} cells of the header" for row in wrong]
             yield _chunk(table, columns, layout, kept, len(skipped), problems)
     if nothing:
-        empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
+        empty = pa.table({key: pa.array([], pa.string()) for key in columns})
         yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), 0, [])
 
 

@@ -52,11 +52,11 @@ def time_beside(tag: str | None, before: str, after: str) -> float | None:
     """Unix time that a tag block or the text around a sentence has; None if neither has one. What has a name such as
     `toa` or `rxtime` comes first, then dates. Of several Unix times the first before the sentence counts, or the last
     after it; none where they are more than a day apart, for one is something else."""
-    if tag and (found := _TAG.search(tag)) and _FIRST_S <= (said_s := _unix_s(found[1])) < _LAST_S:
+    if tag and (match := _TAG.search(tag)) and _FIRST_S <= (said_s := _unix_s(match[1])) < _LAST_S:
         return said_s
     text = f"{before}|{after}"
-    if said := [*_times(_NAMED.findall(text)), *(value for *_, value in sorted(_dates(text)))]:
-        return said[0]
+    if times := [*_times(_NAMED.findall(text)), *(value for *_, value in sorted(_dates(text)))]:
+        return times[0]
     alone = _times([*reversed(_ALONE.findall(after)), *_ALONE.findall(before)])
     return alone[0] if alone and max(alone) - min(alone) <= _DAY_S else None
 
@@ -75,15 +75,15 @@ def _unix_s(text: str) -> float:
 def _dates(text: str) -> Iterator[tuple[bool, int, float]]:
     """The dates with times in a text: whether they have no name, their place, and the Unix time."""
     for pattern, order in ((_YEAR_FIRST, (1, 3, 4)), (_YEAR_LAST, (4, 3, 1))):
-        for found in pattern.finditer(text):
-            zone = found[9] if found[9] and found[9][0] in "+-" else found[10] or "Z"
+        for match in pattern.finditer(text):
+            zone = match[9] if match[9] and match[9][0] in "+-" else match[10] or "Z"
             try:
-                minute = datetime.fromisoformat(f"{'-'.join(found[k] for k in order)}T{found[5]}:{found[7]}{zone}")
+                minute = datetime.fromisoformat(f"{'-'.join(match[k] for k in order)}T{match[5]}:{match[7]}{zone}")
             except ValueError:
                 continue
-            value = minute.timestamp() + float(found[8])
+            value = minute.timestamp() + float(match[8])
             if _FIRST_S <= value < _LAST_S:
-                yield _NAME_BEFORE.search(text, 0, found.start()) is None, found.start(), value
+                yield _NAME_BEFORE.search(text, 0, match.start()) is None, match.start(), value
 
 
 SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
@@ -141,8 +141,8 @@ class _Rows:
         beats = np.array(self.beats)
         if len(beats) < FEW_BEATS or np.abs(np.exp(2j * np.pi / 60 * beats).mean()) > LOOSE_BEAT:
             return ""
-        told = "the seconds of the times beside its sentences are not those in the messages"
-        return f"{told}: are these times, or do they count something else?"
+        fault = "the seconds of the times beside its sentences are not those in the messages"
+        return f"{fault}: are these times, or do they count something else?"
 
     def chunk(self) -> Chunk:
         """The rows as columns; begins the next chunk."""
@@ -179,8 +179,8 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
             if rows.messages >= CHUNK_MESSAGES:
                 yield rows.chunk()
     if untimed and not timed:
-        found = f" (beside the first stands {shown(around)})" if around else ""
-        raise InputError(source_of(path), [TIME_NEEDED + found])
+        hint = f" (beside the first stands {shown(around)})" if around else ""
+        raise InputError(source_of(path), [TIME_NEEDED + hint])
     if minutes and timed > 2 and last_s - first_s >= 60:
         problem = "the numbers beside its sentences are dates such as yymmddHHMM, must be Unix times, in seconds"
         raise InputError(source_of(path), [f"{problem} (got {first_s:.0f} to {last_s:.0f})"])
@@ -277,21 +277,21 @@ class _Line:
 
 def _split(line: str) -> Iterator[_Line]:
     """The first sentence of a line and what stands around it, or all sentences of a line of JSON."""
-    found = SENTENCE.search(line)
-    if found is None:
+    match = SENTENCE.search(line)
+    if match is None:
         return
     if line.startswith("{"):
         around = SENTENCE.sub("", line)
         yield from (_Line(around, None, sentence, "") for sentence in SENTENCE.findall(line))
         return
-    before, tag = line[: found.start()], None
+    before, tag = line[: match.start()], None
     start, stop = before.rfind("\\", 0, max(before.rfind("\\"), 0)), before.rfind("\\")
     between = before[stop + 1 :]
     if start >= 0 and not OTHER_SENTENCE.search(between):
         tag, before = before[start + 1 : stop], before[:start]
     else:
         before, between = between, ""
-    yield _Line(f"{OTHER_SENTENCE.split(before)[-1]} {between}", tag, found[0], line[found.end() :])
+    yield _Line(f"{OTHER_SENTENCE.split(before)[-1]} {between}", tag, match[0], line[match.end() :])
 
 
 def _close(parts: dict[int, _Part], part: _Part) -> bool:

@@ -254,11 +254,11 @@ def check_free(folder: Path, overwrite: bool) -> None:
         raise ModsimError(f"{folder} is there already and is not a folder: choose another with --out")
     if not folder.is_dir() or all(path.name == LOCK_FILE for path in folder.iterdir()):
         return
-    ours = all((folder / name).is_file() for name in (SCENE, REPORT))
+    has_scene = all((folder / name).is_file() for name in (SCENE, REPORT))
     if not overwrite:
-        hint = "replace the scene in it with --overwrite, or " if ours else ""
+        hint = "replace the scene in it with --overwrite, or " if has_scene else ""
         raise ModsimError(f"{folder} is not empty: {hint}choose another folder with --out")
-    if not ours:
+    if not has_scene:
         raise ModsimError(f"{folder} is not empty and holds no scene made from AIS, so it is left alone")
 
 
@@ -337,8 +337,8 @@ def detector_text(single: Path, labels: Sequence[str]) -> str:
     for section in [data.get("dropout", {}), *(state.get("dropout", {}) for state in data["states"].values())]:
         section |= {key: section[key] * len(labels) for key in ("intercept", "learned_log_odds") if key in section}
     for state in data["states"].values():
-        (found,), (missed,) = state["confusion"]
-        own = [[found if row == column else 0.0 for column in range(len(labels))] for row in range(len(labels))]
+        (hit,), (missed,) = state["confusion"]
+        own = [[hit if row == column else 0.0 for column in range(len(labels))] for row in range(len(labels))]
         state["confusion"] = [*own, [missed] * len(labels)]
         state["false_positive_labels"] = [1 / len(labels)] * len(labels)
     note = DETECTOR_NOTE.format(name=single.name)

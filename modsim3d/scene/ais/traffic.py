@@ -154,8 +154,8 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
     options.check_labels(track.hull.group for track in vessels)
     left_out = _dropped_ships(senders, {track.mmsi for track in tracks})
     odd = next((tally.odd for tally in gathered.files if tally.odd), "") or _odd(positions, origin)
-    found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, odd
-    return AisTraffic(options, gathered.files, *found)
+    members = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, odd
+    return AisTraffic(options, gathered.files, *members)
 
 
 def _odd(positions: Positions, origin: tuple[float, float]) -> str:
@@ -174,7 +174,7 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
     other = local_metres(positions.longitude_deg, positions.latitude_deg, (origin[1], origin[0]))
     now, exchanged = (
         float(np.median(np.cos(np.deg2rad(positions.course_deg[under_way]) - np.arctan2(*moved.T))))
-        for moved in ((each[under_way + 1] - each[under_way]) for each in (places, other))
+        for moved in ((points[under_way + 1] - points[under_way]) for points in (places, other))
     )
     if now < WRONG_COURSES and exchanged > RIGHT_COURSES:
         return f"vessels move along their courses only elsewhere: {EXCHANGE_HINT}"

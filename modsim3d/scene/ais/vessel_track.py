@@ -49,19 +49,19 @@ def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Ma
     interpolation), or a straight line where these are unknown or do not fit the positions. Its heading turns evenly
     along the shorter arc. The vessel is away before the first report, after the last, and between reports that are
     further apart than the longest gap."""
-    known = track.times_s
-    if len(known) == 1:
-        there = np.abs(times_s - known[0]) <= ROUNDING_S
-        return there, np.repeat(track.places_m, len(times_s), axis=0), np.full(len(times_s), track.headings_rad[0])
-    within = (times_s >= known[0] - ROUNDING_S) & (times_s <= known[-1] + ROUNDING_S)
-    leg = np.clip(np.searchsorted(known, times_s, side="right") - 1, 0, len(known) - 2)
-    span_s = known[leg + 1] - known[leg]
-    share = np.clip((times_s - known[leg]) / span_s, 0.0, 1.0)
+    reports_s = track.times_s
+    if len(reports_s) == 1:
+        present = np.abs(times_s - reports_s[0]) <= ROUNDING_S
+        return present, np.repeat(track.places_m, len(times_s), axis=0), np.full(len(times_s), track.headings_rad[0])
+    within = (times_s >= reports_s[0] - ROUNDING_S) & (times_s <= reports_s[-1] + ROUNDING_S)
+    leg = np.clip(np.searchsorted(reports_s, times_s, side="right") - 1, 0, len(reports_s) - 2)
+    span_s = reports_s[leg + 1] - reports_s[leg]
+    share = np.clip((times_s - reports_s[leg]) / span_s, 0.0, 1.0)
     on_report = np.minimum(share, 1 - share) * span_s <= ROUNDING_S
-    there = within & ((span_s <= max_gap_s) | on_report)
+    present = within & ((span_s <= max_gap_s) | on_report)
     turn = np.diff(track.headings_rad)
     turn = np.arctan2(np.sin(turn), np.cos(turn))
-    return there, _places(track, leg, share), track.headings_rad[leg] + share * turn[leg]
+    return present, _places(track, leg, share), track.headings_rad[leg] + share * turn[leg]
 
 
 def _places(track: ReportedTrack, leg: Indices, share: Array) -> Array:
@@ -121,10 +121,10 @@ def fill_headings(
     fill(np.isnan(filled) & moving & ~np.isnan(course_deg), course_deg, HeadingSource.COURSE)
     fill(np.isnan(filled) & moving & (way_m >= MOVING_M), bearing, HeadingSource.BEARING)
     still = np.isnan(filled)
-    known = np.flatnonzero(~still)
-    if len(known):
-        earlier = np.searchsorted(known, np.arange(len(filled)), side="right") - 1
-        fill(still, filled[known[np.maximum(earlier, 0)]], HeadingSource.HELD)
+    rows = np.flatnonzero(~still)
+    if len(rows):
+        earlier = np.searchsorted(rows, np.arange(len(filled)), side="right") - 1
+        fill(still, filled[rows[np.maximum(earlier, 0)]], HeadingSource.HELD)
     elif np.isfinite(course_deg).any():
         angles = np.deg2rad(course_deg[np.isfinite(course_deg)])
         mean = np.rad2deg(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) % 360

@@ -38,7 +38,7 @@ def joined_sequence(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -
     frames = frames[np.lexsort((frames, frames % truth.cameras))]
     truth_first, truth_count = extents(truth.frame, frames)
     track_first, track_count = extents(tracks.frame, frames)
-    truth_id, track_id = (np.unique(each, return_inverse=True)[1] for each in (truth.identity, tracks.identity))
+    truth_id, track_id = (np.unique(side, return_inverse=True)[1] for side in (truth.identity, tracks.identity))
     return {
         "num_timesteps": len(frames),
         "num_gt_dets": len(truth),
@@ -129,12 +129,12 @@ def by_trackeval(scored: ScoredRun) -> tuple[Hota, Clear, Identity]:
 
 def hota_of(data: Data) -> Hota:
     """HOTA and its parts of a sequence."""
-    found = metrics().HOTA().eval_sequence(data)
+    scores = metrics().HOTA().eval_sequence(data)
     vessels, boxes = data["num_gt_dets"], data["num_tracker_dets"]
-    matched = found["HOTA_TP"] > 0
+    matched = scores["HOTA_TP"] > 0
 
     def mean(name: str, defined: bool) -> float | None:
-        return float(np.mean(found[name])) if defined else None
+        return float(np.mean(scores[name])) if defined else None
 
     anything, any_match = vessels + boxes > 0, bool(matched.any())
     return Hota(
@@ -145,21 +145,21 @@ def hota_of(data: Data) -> Hota:
         detpr=mean("DetPr", boxes > 0),
         assre=mean("AssRe", any_match),
         asspr=mean("AssPr", any_match),
-        loca=float(np.mean(found["LocA"][matched])) if any_match else None,
-        hota_by_alpha=tuple(found["HOTA"].tolist()) if anything else None,
+        loca=float(np.mean(scores["LocA"][matched])) if any_match else None,
+        hota_by_alpha=tuple(scores["HOTA"].tolist()) if anything else None,
     )
 
 
 def clear_of(data: Data, least: float) -> Clear:
     """CLEAR scores of a sequence, from a similarity on."""
-    found = metrics().CLEAR({"THRESHOLD": least, "PRINT_CONFIG": False}).eval_sequence(data)
-    vessels, matches = data["num_gt_dets"], int(found["CLR_TP"])
-    errors = int(found["CLR_FN"] + found["CLR_FP"] + found["IDSW"])
+    scores = metrics().CLEAR({"THRESHOLD": least, "PRINT_CONFIG": False}).eval_sequence(data)
+    vessels, matches = data["num_gt_dets"], int(scores["CLR_TP"])
+    errors = int(scores["CLR_FN"] + scores["CLR_FP"] + scores["IDSW"])
     counts = ("IDSW", "Frag", "MT", "PT", "ML", "CLR_TP", "CLR_FN", "CLR_FP")
     return Clear(
         1 - errors / vessels if vessels else None,
-        float(found["MOTP"]) if matches else None,
-        *(int(found[name]) for name in counts),
+        float(scores["MOTP"]) if matches else None,
+        *(int(scores[name]) for name in counts),
     )
 
 

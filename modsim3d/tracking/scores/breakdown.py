@@ -66,12 +66,12 @@ class _FollowedFrames:
     association: Array
 
     def bin(self, name: str, chosen: Mask, survival: Survival | None = None) -> Bin:
-        found = self.found[chosen]
-        association = self.association[chosen][found]
+        matches = self.found[chosen]
+        association = self.association[chosen][matches]
         return Bin(
             name,
-            len(found),
-            float(np.mean(found)) if len(found) else None,
+            len(matches),
+            float(np.mean(matches)) if len(matches) else None,
             float(np.mean(association)) if len(association) else None,
             *(astuple(survival) if survival else ()),
         )
@@ -79,7 +79,7 @@ class _FollowedFrames:
     def bins(self, names: Sequence[str], index: Indices) -> tuple[Bin, ...]:
         """A bin for each name; rows whose index is none of a name are left out."""
         bins = (self.bin(name, index == k) for k, name in enumerate(names))
-        return tuple(each for each in bins if each.vessel_frames)
+        return tuple(score_bin for score_bin in bins if score_bin.vessel_frames)
 
 
 def breakdown(scored: ScoredRun) -> Breakdown:
@@ -103,8 +103,8 @@ def breakdown(scored: ScoredRun) -> Breakdown:
         "state": ("performance state of the detector", states, rows.states_of(truth.frame)),
         "label": ("true class of the vessel", detector.labels, truth.label),
     }
-    found = tuple(Group(name, text, followed.bins(names, index)) for name, (text, names, index) in groups.items())
-    return (found[0], *_by_occlusion(scored, followed), *found[1:])
+    parts = tuple(Group(name, text, followed.bins(names, index)) for name, (text, names, index) in groups.items())
+    return (parts[0], *_by_occlusion(scored, followed), *parts[1:])
 
 
 def association_of_pairs(scored: ScoredRun) -> tuple[Mask, Array]:
@@ -114,13 +114,13 @@ def association_of_pairs(scored: ScoredRun) -> tuple[Mask, Array]:
     following, truth = scored.following, scored.truth
     tracks = scored.following.tracks.identity
     track_row = following.track_row[scored.truth_rows]
-    found, association = track_row != NOBODY, np.full(len(truth), np.nan)
-    pairs = np.column_stack([truth.identity[found], tracks[track_row[found]]])
+    matches, association = track_row != NOBODY, np.full(len(truth), np.nan)
+    pairs = np.column_stack([truth.identity[matches], tracks[track_row[matches]]])
     _, pair, together = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     both = together[pair.reshape(-1)]
     of_vessel, of_track = np.bincount(truth.identity), np.bincount(tracks[scored.track_rows])
-    association[found] = both / (of_vessel[pairs[:, 0]] + of_track[pairs[:, 1]] - both)
-    return found, association
+    association[matches] = both / (of_vessel[pairs[:, 0]] + of_track[pairs[:, 1]] - both)
+    return matches, association
 
 
 def _visibility(fraction: Array) -> Indices:
@@ -154,15 +154,15 @@ def _by_occlusion(scored: ScoredRun, followed: _FollowedFrames) -> tuple[Group, 
 
 def _phases(scored: ScoredRun, spans: OcclusionSpans) -> tuple[Indices, Indices]:
     """The occlusion during which each of n rows is, `NOBODY` for none, and its phase, shapes (n,)."""
-    each, count = spans.histories, spans.last - spans.first + 1
-    during = np.full(len(each.row), NOBODY)
+    past, count = spans.histories, spans.last - spans.first + 1
+    during = np.full(len(past.row), NOBODY)
     during[ranges(spans.first, count)] = np.repeat(np.arange(len(count)), count)
     occluded = during != NOBODY
     start_s, end_s = (np.append(times_s, np.nan) for times_s in (spans.start_s, spans.end_s))
-    next_one, last_one = (np.append(during, NOBODY)[place(occluded)] for place in (each.first_after, each.last_before))
-    before, after = within(start_s[next_one] - each.time_s, NEAR_S), within(each.time_s - end_s[last_one], NEAR_S)
+    next_one, last_one = (np.append(during, NOBODY)[place(occluded)] for place in (past.first_after, past.last_before))
+    before, after = within(start_s[next_one] - past.time_s, NEAR_S), within(past.time_s - end_s[last_one], NEAR_S)
     phase = np.select([occluded, after, before], [1, 2, 0], 3)  # places in PHASES
-    place = np.empty(len(each.row), dtype=np.int64)
-    place[each.row] = np.arange(len(each.row))
+    place = np.empty(len(past.row), dtype=np.int64)
+    place[past.row] = np.arange(len(past.row))
     chosen = place[scored.truth_rows]
     return during[chosen], phase[chosen]

@@ -115,8 +115,8 @@ def _times_not_followed(rows: _Appearances) -> tuple[Array, Array, float]:
     np.minimum.at(first, group[rows.followed], place[rows.followed])
     np.maximum.at(last, group[rows.followed], place[rows.followed])
     missed = np.flatnonzero(~rows.followed & (place > first[group]) & (place < last[group]))
-    found, before_s = stretches(group[missed], missed), np.append(0, np.cumsum(rows.length_s))
-    breaks_s = before_s[missed[found.last] + 1] - before_s[missed[found.first]]
+    spans, before_s = stretches(group[missed], missed), np.append(0, np.cumsum(rows.length_s))
+    breaks_s = before_s[missed[spans.last] + 1] - before_s[missed[spans.first]]
     after = (place > last[group]) & (last[group] >= 0)
     lost_s = _sums(group[after], rows.length_s[after], count)
     lost_s = lost_s[np.bincount(group[after], minlength=count) > 0]

@@ -60,11 +60,11 @@ def nees(errors: Array, covariances: Array) -> Array:
     """Normalised estimation errors squared e' P⁻¹ e (Bar-Shalom et al. (2001), equation 5.4.2-1), shape (k,). Errors,
     estimate minus truth, have shape (k, d); covariances P are positive definite, shape (k, d, d); NaN in either gives
     NaN. Jessen & Mohr (2023) misplace the transpose in equation 2.2, and leave out 1/n in that of ANEES, 2.3."""
-    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
-    found = np.full(len(errors), np.nan)
-    wanted = errors[known, :, None]
-    found[known] = (wanted * np.linalg.solve(covariances[known], wanted)).sum(axis=(1, 2))
-    return found
+    finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
+    values = np.full(len(errors), np.nan)
+    wanted = errors[finite, :, None]
+    values[finite] = (wanted * np.linalg.solve(covariances[finite], wanted)).sum(axis=(1, 2))
+    return values
 
 
 def nees_or_infinity(error: Array, covariance: Array) -> Array:
@@ -137,8 +137,8 @@ def distances(vessels: Array, tracks: Array) -> Array:
 def _paired(distance: Array, cutoff: float, power: float) -> Array:
     """min(d, c) of the pairs of the assignment with the smallest sum of p-th powers, shape (min(n, m),)."""
     cut = np.minimum(distance, cutoff)
-    found: Array = cut[linear_sum_assignment(cut**power)]
-    return found
+    costs: Array = cut[linear_sum_assignment(cut**power)]
+    return costs
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _frames(scored: ScoredRun) -> Iterator[Array]:
     """Distances in pixels of the vessels' and the tracks' centres in each frame, shapes (n, m)."""
     vessels, tracks = scored.truth, scored.tracks
     a_px, b_px = centres(vessels.boxes_px), centres(tracks.boxes_px)
-    places = (column.tolist() for each in (vessels, tracks) for column in extents(each.frame, scored.frames))
+    places = (column.tolist() for side in (vessels, tracks) for column in extents(side.frame, scored.frames))
     for a, n, b, m in zip(*places, strict=True):
         yield distances(a_px[a : a + n], b_px[b : b + m])
 
@@ -269,10 +269,10 @@ def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Arra
     vessel = np.zeros(len(length_s), dtype=np.int64)
     vessel[place] = identity
     group, place = _by_track(identity, track, place)
-    found, before_s = stretches(group, place), np.append(0, np.cumsum(length_s))
-    stretch_s = before_s[place[found.last] + 1] - before_s[place[found.first]]
+    spans, before_s = stretches(group, place), np.append(0, np.cumsum(length_s))
+    stretch_s = before_s[place[spans.last] + 1] - before_s[place[spans.first]]
     longest_s = np.zeros(int(identity.max(initial=-1)) + 1)
-    np.maximum.at(longest_s, vessel[place[found.first]], stretch_s)
+    np.maximum.at(longest_s, vessel[place[spans.first]], stretch_s)
     return float(longest_s.sum())
 
 

@@ -66,22 +66,22 @@ class OcclusionSpans:
     @classmethod
     def of(cls, scored: ScoredRun) -> OcclusionSpans:
         """All occlusions that begin in a frame that counts."""
-        each = Histories.of(scored)
-        known = np.cumsum(~np.isnan(each.visible_fraction))  # a vessel without a pixel has no visible fraction
-        occluded = np.flatnonzero(each.visible_fraction < OCCLUDED_BELOW)
-        found = stretches(each.identity[occluded], known[occluded])
-        first, last = occluded[found.first], occluded[found.last]
-        first, last = first[each.counted[first]], last[each.counted[first]]
-        start_s = each.time_s[first]
-        end_s = each.time_s[last] + frame_lengths_s(scored.rows, each.frame[last])
-        before, after = each.last_before(each.followed)[first], each.first_after(each.followed)[last]
-        wanted = scored.following.truth.scored[each.row]
-        last_one, next_one = each.last_before(wanted)[first], each.first_after(wanted)[last]
-        times_s = np.append(each.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
+        past = Histories.of(scored)
+        count = np.cumsum(~np.isnan(past.visible_fraction))  # a vessel without a pixel has no visible fraction
+        occluded = np.flatnonzero(past.visible_fraction < OCCLUDED_BELOW)
+        spans = stretches(past.identity[occluded], count[occluded])
+        first, last = occluded[spans.first], occluded[spans.last]
+        first, last = first[past.counted[first]], last[past.counted[first]]
+        start_s = past.time_s[first]
+        end_s = past.time_s[last] + frame_lengths_s(scored.rows, past.frame[last])
+        before, after = past.last_before(past.followed)[first], past.first_after(past.followed)[last]
+        wanted = scored.following.truth.scored[past.row]
+        last_one, next_one = past.last_before(wanted)[first], past.first_after(wanted)[last]
+        times_s = np.append(past.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
         before = np.where(within(start_s - times_s[before], BEFORE_S), before, NOBODY)
         after = np.where(within(times_s[after] - end_s, AFTER_S), after, NOBODY)
         stays, expected = within(times_s[next_one] - end_s, AFTER_S), within(start_s - times_s[last_one], BEFORE_S)
-        return cls(each, first, last, start_s, end_s, before, after, stays, expected)
+        return cls(past, first, last, start_s, end_s, before, after, stays, expected)
 
     @property
     def length_s(self) -> Array:
@@ -130,8 +130,8 @@ def occlusions(scored: ScoredRun) -> tuple[OcclusionEpisode, ...]:
     fraction = spans.histories.visible_fraction
     ends = zip(spans.first.tolist(), spans.last.tolist(), strict=True)
     least = [float(np.nanmin(fraction[first : last + 1])) for first, last in ends]
-    track_before, track_after = (_track_numbers(scored, spans, each) for each in (spans.before, spans.after))
-    found = [
+    track_before, track_after = (_track_numbers(scored, spans, places) for places in (spans.before, spans.after))
+    episodes = [
         OcclusionEpisode(
             scene.cameras[int(frame[k]) % scored.by_step].name,
             scene.vessel_names[vessel[k]],
@@ -146,7 +146,7 @@ def occlusions(scored: ScoredRun) -> tuple[OcclusionEpisode, ...]:
         )
         for k in range(len(least))
     ]
-    return tuple(found[k] for k in np.lexsort((vessel, frame)).tolist())
+    return tuple(episodes[k] for k in np.lexsort((vessel, frame)).tolist())
 
 
 def _track_numbers(scored: ScoredRun, spans: OcclusionSpans, places: Indices) -> Sequence[int | None]:
@@ -154,8 +154,8 @@ def _track_numbers(scored: ScoredRun, spans: OcclusionSpans, places: Indices) ->
     following = scored.following
     numbers = following.tracks.track
     track_row = following.track_row[spans.histories.row[places[places != NOBODY]]]
-    found = iter(numbers[track_row].tolist())
-    return [None if place == NOBODY else next(found) for place in places.tolist()]
+    tracks = iter(numbers[track_row].tolist())
+    return [None if place == NOBODY else next(tracks) for place in places.tolist()]
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,8 @@ def frame_lengths_s(rows: RunRows, frames: Indices) -> Array:
         apart = np.diff(times_s[every[here] // cameras])
         alone = 1 / (camera.frame_rate_hz or 1.0)
         length_s[here] = np.append(apart, apart[-1:] if len(apart) else alone)[: len(here)]
-    found: Array = length_s[np.searchsorted(every, frames)]
-    return found
+    spans_s: Array = length_s[np.searchsorted(every, frames)]
+    return spans_s
 
 
 class RowStretches(NamedTuple):

@@ -59,14 +59,14 @@ class Scores:
     def as_json(self) -> dict[str, Any]:
         """All scores as JSON has them."""
         subsets = {"by_state": self.by_state, "by_camera": self.by_camera}
-        found = self.flat() | {
-            name: {key: asdict(each) for key, each in subset.items()} for name, subset in subsets.items()
+        scores = self.flat() | {
+            name: {key: asdict(part) for key, part in subset.items()} for name, subset in subsets.items()
         }
         if self.by_class:
-            found |= {"by_class": {label: each.flat() for label, each in self.by_class.items()}}
-        return found | {
-            "breakdown": {group.name: [asdict(each) for each in group.rows] for group in self.breakdown},
-            "each_occlusion": [asdict(each) for each in self.occlusions],
+            scores |= {"by_class": {label: part.flat() for label, part in self.by_class.items()}}
+        return scores | {
+            "breakdown": {group.name: [asdict(score_bin) for score_bin in group.rows] for group in self.breakdown},
+            "each_occlusion": [asdict(episode) for episode in self.occlusions],
         }
 
 
@@ -88,7 +88,7 @@ def scores_of(scored: ScoredRun) -> Scores:
     ModsimError if TrackEval is not installed."""
     names = scored.rows.scene.detector.labels if scored.rules.by_class else ()
     alone = zip(names, _by_class(scored), strict=False)
-    by_class = {name: _scores(each) for name, each in alone if len(each.truth) + len(each.tracks)}
+    by_class = {name: _scores(part) for name, part in alone if len(part.truth) + len(part.tracks)}
     return _scores(scored, by_class)
 
 
@@ -121,6 +121,6 @@ def _subset(scored: ScoredRun, frames: Indices, whole: tuple[Hota, Clear, Identi
 def _by_class(scored: ScoredRun) -> Iterator[ScoredRun]:
     truth, tracks, rules = scored.following.truth, scored.following.tracks, scored.rules
     for label in range(len(scored.rows.scene.detector.labels)):
-        ours = truth.take(truth.label == label), tracks.take(tracks.label == label)
-        alone = follow(*ours, rules.similarity, scored.rows.regions)
+        pair = truth.take(truth.label == label), tracks.take(tracks.label == label)
+        alone = follow(*pair, rules.similarity, scored.rows.regions)
         yield ScoredRun(scored.rows, rules, alone, scored.frames)

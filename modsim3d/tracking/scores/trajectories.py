@@ -72,14 +72,14 @@ def t_gospa(sets: TrajectorySets, power: float, switch: float) -> TGospaParts | 
     ends = np.searchsorted(pair[order], np.arange(len(names) + 1))
     costs = sets.distance**power
     for group in _groups(names):
-        rows = [order[ends[each] : ends[each + 1]] for each in group]
-        gains = [(sets.pairs[each, 0], 2 * alone - costs[each]) for each in rows]
+        rows = [order[ends[number] : ends[number + 1]] for number in group]
+        gains = [(sets.pairs[pair_rows, 0], 2 * alone - costs[pair_rows]) for pair_rows in rows]
         weights, changes = _group(names[group], gains, switch**power / 2)
-        cost += sum(float(weight @ costs[each]) for weight, each in zip(weights, rows, strict=True))
+        cost += sum(float(weight @ costs[pair_rows]) for weight, pair_rows in zip(weights, rows, strict=True))
         both += sum(float(weight.sum()) for weight in weights)
         switched += switch**power / 2 * changes
-    missed, false = (alone * (len(each) - both) for each in (sets.truths, sets.tracks))
-    parts = [each / sets.steps for each in (cost, missed, false, switched)]
+    missed, false = (alone * (len(side) - both) for side in (sets.truths, sets.tracks))
+    parts = [part / sets.steps for part in (cost, missed, false, switched)]
     return TGospaParts(sum(parts) ** (1 / power), *parts)
 
 
@@ -90,7 +90,7 @@ def _groups(names: Indices) -> list[Indices]:
     track = track + len(names)
     graph = coo_array((np.ones(len(names)), (truth, track)), shape=(2 * len(names), 2 * len(names)))
     _, group = csgraph.connected_components(graph, directed=False)
-    return [np.flatnonzero(group[truth] == each) for each in np.unique(group[truth])]
+    return [np.flatnonzero(group[truth] == number) for number in np.unique(group[truth])]
 
 
 def _group(names: Indices, gains: list[tuple[Indices, Array]], price: float) -> tuple[list[Array], float]:
@@ -134,17 +134,17 @@ def _program(variable: Indices, gain: Array, sides: list[Indices], price: float)
     step = coo_array((np.concatenate([ones, -ones]), (np.tile(row, 2), ends)), shape=(len(after), count))
     sums = []
     for side in sides:
-        for each in np.flatnonzero(np.bincount(side) > 1):
-            taken = np.unique(variable[side == each], axis=1).T
+        for number in np.flatnonzero(np.bincount(side) > 1):
+            taken = np.unique(variable[side == number], axis=1).T
             place = np.repeat(np.arange(len(taken)), taken.shape[1])
             sums.append(coo_array((np.ones(taken.size), (place, taken.reshape(-1))), shape=(len(taken), count)))
     change = coo_array((ones, (row, row)), shape=(len(after), len(after)))
-    matrix = block_array([[step, -change], [-step, -change], *([each, None] for each in sums)], format="csr")
+    matrix = block_array([[step, -change], [-step, -change], *([block, None] for block in sums)], format="csr")
     limit = np.concatenate([np.zeros(2 * len(after)), np.ones(matrix.shape[0] - 2 * len(after))])
-    found = linprog(np.concatenate([-gain, price * ones]), matrix, limit, bounds=(0, 1), method="highs")
-    if not found.success:
-        raise ModsimError(f"T-GOSPA: its linear program was not solved: {found.message}")
-    weight = np.round(found.x[:count], _DECIMALS)
+    solution = linprog(np.concatenate([-gain, price * ones]), matrix, limit, bounds=(0, 1), method="highs")
+    if not solution.success:
+        raise ModsimError(f"T-GOSPA: its linear program was not solved: {solution.message}")
+    weight = np.round(solution.x[:count], _DECIMALS)
     return weight, float(np.abs(weight[after] - weight[after - 1]).sum())
 
 
@@ -153,19 +153,19 @@ def ospa2(sets: TrajectorySets, power: float, window: int) -> float | None:
     68, 2754-2769: OSPA of the trajectories in a window of so many steps, mean over windows that follow each other; None
     without steps. The distance of two trajectories is the mean over the steps of the window at which one is there: of
     the distance of the two, at most c, or of c where only one is there."""
-    found = []
+    distances = []
     for first in range(0, sets.steps, window):
         inside = [
-            each[slice(*np.searchsorted(each[:, 0], (first, first + window)))] for each in (sets.truths, sets.tracks)
+            rows[slice(*np.searchsorted(rows[:, 0], (first, first + window)))] for rows in (sets.truths, sets.tracks)
         ]
-        names = [np.unique(each[:, 1], return_inverse=True) for each in inside]
-        there = [np.zeros((len(name), window)) for name, _ in names]
-        for mask, (_, row), each in zip(there, names, inside, strict=True):
-            mask[row.reshape(-1), each[:, 0] - first] = 1
-        either = there[0].sum(axis=1)[:, None] + there[1].sum(axis=1) - there[0] @ there[1].T
+        names = [np.unique(rows[:, 1], return_inverse=True) for rows in inside]
+        masks = [np.zeros((len(name), window)) for name, _ in names]
+        for mask, (_, row), rows in zip(masks, names, inside, strict=True):
+            mask[row.reshape(-1), rows[:, 0] - first] = 1
+        either = masks[0].sum(axis=1)[:, None] + masks[1].sum(axis=1) - masks[0] @ masks[1].T
         near = slice(*np.searchsorted(sets.pairs[:, 0], (first, first + window)))
         place = tuple(np.searchsorted(names[side][0], sets.pairs[near, 1 + side]) for side in (0, 1))
         apart = sets.cutoff * either
         np.add.at(apart, place, sets.distance[near] - sets.cutoff)
-        found.append(ospa_frame(apart / either, sets.cutoff, power))
-    return float(np.mean(found)) if found else None
+        distances.append(ospa_frame(apart / either, sets.cutoff, power))
+    return float(np.mean(distances)) if distances else None

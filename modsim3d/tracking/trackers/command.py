@@ -45,8 +45,8 @@ class CommandTracker(Strict):
         """The file that is run. Raises InputError if there is none, or it may not be run."""
         name = self.command[0] if self.command else ""
         path = str(self.folder / name) if "/" in name else name
-        if (found := shutil.which(path)) is not None:
-            return str(Path(found).absolute())
+        if (binary := shutil.which(path)) is not None:
+            return str(Path(binary).absolute())
         place = Path(path)
         problem = "is not a program that may be run: chmod +x" if place.is_file() else "there is no such program"
         raise InputError("--command", [f"command: '{name}': {problem}"])
@@ -54,10 +54,10 @@ class CommandTracker(Strict):
     def paths(self) -> dict[str, Path]:
         """The program's file and the others by their names. Raises as `program` does, and if one is not there."""
         program = Path(self.program)
-        found = {self.command[0]: program, **{name: self.folder / name for name in self.files}}
-        if missing := [name for name, path in found.items() if not path.is_file()]:
+        paths = {self.command[0]: program, **{name: self.folder / name for name in self.files}}
+        if missing := [name for name, path in paths.items() if not path.is_file()]:
             raise InputError("--command", [f"files: '{missing[0]}': no such file in {self.folder}"])
-        return found
+        return paths
 
     def checksums(self) -> dict[str, str]:
         """SHA-256 of these files."""
@@ -72,7 +72,7 @@ RUNS_OTHERS = re.compile(
 
 def argument_files(command: Sequence[str], folder: Path) -> list[str]:
     """The files that are there among the arguments of a program, also after an equals sign."""
-    names = dict.fromkeys(each.rpartition("=")[2] for each in command[1:])
+    names = dict.fromkeys(argument.rpartition("=")[2] for argument in command[1:])
     return [name for name in names if os.path.isfile(folder / name)]  # noqa: PTH113 (which raises for what is too long)
 
 
@@ -141,37 +141,37 @@ def parsed(model: type[Any], line: bytes) -> Any:
 def image_frames(answer: ImageAnswer, cameras: Sequence[str], labels: Sequence[str]) -> dict[str, TrackedFrame]:
     """The tracks in the image of each camera of a line. Raises ModsimError for an unknown label or camera."""
     parts: dict[str, list[ImageTrack]] = {name: [] for name in cameras}
-    for each in answer.tracks:
-        if each.label is not None and each.label not in labels:
-            raise ModsimError(f"track {each.track}: there is no label '{each.label}'")
-        if (name := answer.camera if each.camera is None else each.camera) not in parts:
-            raise ModsimError(f"track {each.track}: its camera must be {' or '.join(cameras)}, not '{name}'")
-        parts[name].append(each)
+    for track in answer.tracks:
+        if track.label is not None and track.label not in labels:
+            raise ModsimError(f"track {track.track}: there is no label '{track.label}'")
+        if (name := answer.camera if track.camera is None else track.camera) not in parts:
+            raise ModsimError(f"track {track.track}: its camera must be {' or '.join(cameras)}, not '{name}'")
+        parts[name].append(track)
     return {name: _image_frame(tracks, labels) for name, tracks in parts.items()}
 
 
 def _image_frame(tracks: Sequence[ImageTrack], labels: Sequence[str]) -> TrackedFrame:
     unknown = ((np.nan, np.nan), (np.nan, np.nan))
     return TrackedFrame(
-        np.array([each.track for each in tracks], dtype=np.int64),
-        np.array([each.box_px for each in tracks], dtype=np.float64).reshape(-1, 4),
-        np.array([-1 if each.label is None else labels.index(each.label) for each in tracks], dtype=np.int64),
-        np.array([np.nan if each.confidence is None else each.confidence for each in tracks]),
-        np.array([each.covariance_px2 or unknown for each in tracks]).reshape(-1, 2, 2),
+        np.array([track.track for track in tracks], dtype=np.int64),
+        np.array([track.box_px for track in tracks], dtype=np.float64).reshape(-1, 4),
+        np.array([-1 if track.label is None else labels.index(track.label) for track in tracks], dtype=np.int64),
+        np.array([np.nan if track.confidence is None else track.confidence for track in tracks]),
+        np.array([track.covariance_px2 or unknown for track in tracks]).reshape(-1, 2, 2),
     )
 
 
 def world_step_of(tracks: Sequence[WorldTrack]) -> WorldTrackedStep:
     """The tracks at one step."""
     covariance = np.full((len(tracks), 4, 4), np.nan)
-    for place, each in enumerate(tracks):
-        if each.covariance is not None:
-            side = len(each.covariance)
-            covariance[place, :side, :side] = each.covariance
+    for place, track in enumerate(tracks):
+        if track.covariance is not None:
+            side = len(track.covariance)
+            covariance[place, :side, :side] = track.covariance
     return WorldTrackedStep(
-        np.array([each.track for each in tracks], dtype=np.int64),
-        np.array([each.position_m for each in tracks], dtype=np.float64).reshape(-1, 2),
-        np.array([each.velocity_m_s or (np.nan, np.nan) for each in tracks]).reshape(-1, 2),
+        np.array([track.track for track in tracks], dtype=np.int64),
+        np.array([track.position_m for track in tracks], dtype=np.float64).reshape(-1, 2),
+        np.array([track.velocity_m_s or (np.nan, np.nan) for track in tracks]).reshape(-1, 2),
         covariance,
     )
 
@@ -193,12 +193,12 @@ def lines_of(each: WorldStep, scene: Scene, choice: Choice, ais: list[AisReport]
     lines = list[tuple[str | None, dict[str, Any]]]()
     frames = []
     for frame in each.frames:
-        known = attitudes.get(carriers[frame.camera] or "", {})
+        attitude = attitudes.get(carriers[frame.camera] or "", {})
         place = {"position_m": rounded(frame.position_m)} if world else {}
         detections = {"detections": _detections(frame, scene.detector.labels, world)}
         first = {"camera": frame.camera, "frames_in_step": len(each.frames)}
-        lines.append((frame.camera, {**first, **known, **when, **place, **detections}))
-        frames.append({"camera": frame.camera, **known, **place, **detections})
+        lines.append((frame.camera, {**first, **attitude, **when, **place, **detections}))
+        frames.append({"camera": frame.camera, **attitude, **place, **detections})
     if choice.answers == "steps":
         lines = [(None, {**when, "frames": frames})] if frames or world else []
     for camera, content in lines:
@@ -226,12 +226,12 @@ def _detections(frame: WorldFrame, labels: Sequence[str], world: bool) -> list[d
 
 def _finite_items(values: Array) -> list[Any]:
     """A list of n things, with None for those that are not wholly known."""
-    return [each if np.isfinite(each).all() else None for each in values.tolist()]
+    return [row if np.isfinite(row).all() else None for row in values.tolist()]
 
 
 def _fields(values: AisReport | Navigation, but: str = "") -> dict[str, Any]:
-    said = {key: value for key, value in vars(values).items() if value is not None and key != but}
-    return {key: rounded(value) if isinstance(value, np.ndarray) else value for key, value in said.items()}
+    content = {key: value for key, value in vars(values).items() if value is not None and key != but}
+    return {key: rounded(value) if isinstance(value, np.ndarray) else value for key, value in content.items()}
 
 
 def _line(content: Mapping[str, Any]) -> bytes:
@@ -257,20 +257,20 @@ class Exchange:
         self.seconds.clear()
         world, labels = choice.tracks == "world", scene.detector.labels
         steps, images = list[WorldTrackedStep](), {camera.name: list[TrackedFrame]() for camera in scene.cameras}
-        for each in world_steps(self._rows, bare=not world):
-            ais += each.ais
+        for moment in world_steps(self._rows, bare=not world):
+            ais += moment.ais
             step = WorldTrackedStep.empty()
-            for camera, line in lines_of(each, scene, choice, ais):
-                self.at = ("" if camera is None else f"camera '{camera}' ") + f"at {each.time_s:g} s"
-                answer = self._answer(WorldAnswer if world else ImageAnswer, line, each.step, camera)
+            for camera, line in lines_of(moment, scene, choice, ais):
+                self.at = ("" if camera is None else f"camera '{camera}' ") + f"at {moment.time_s:g} s"
+                answer = self._answer(WorldAnswer if world else ImageAnswer, line, moment.step, camera)
                 if world:
                     step = world_step_of(answer.tracks)
                     continue
-                names = [frame.camera for frame in each.frames] if camera is None else [camera]
+                names = [frame.camera for frame in moment.frames] if camera is None else [camera]
                 for name, frame in image_frames(answer, names, labels).items():
                     images[name].append(frame)
             steps.append(step)
-            progress(len(each.frames))
+            progress(len(moment.frames))
         self.at = "at its end"
         self._program.finish()
         return steps if world else images
@@ -278,8 +278,8 @@ class Exchange:
     def _answer(self, model: type[Any], line: bytes, step: int, camera: str | None) -> Any:
         answer = self._ask(model, line)
         if (answer.step, answer.camera) != (step, camera):
-            said, given = (_name(*each) for each in ((answer.step, answer.camera), (step, camera)))
-            raise ModsimError(f"it answered {said}, and was given {given}")
+            reply, given = (_name(*pair) for pair in ((answer.step, answer.camera), (step, camera)))
+            raise ModsimError(f"it answered {reply}, and was given {given}")
         return answer
 
     def _ask(self, model: type[Any], line: bytes) -> Any:

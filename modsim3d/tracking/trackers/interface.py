@@ -159,7 +159,7 @@ class _LibraryTracker(Tracker):
         """The answer to one frame; `labels` has the last label of each track."""
         import supervision
 
-        found = tracker.update(
+        answer = tracker.update(
             supervision.Detections(
                 xyxy=np.array(frame.boxes_px, dtype=np.float64).reshape(-1, 4),
                 confidence=np.array(frame.confidence, dtype=np.float64),
@@ -167,12 +167,12 @@ class _LibraryTracker(Tracker):
             ),
             timestamp=frame.time_s,
         )
-        known = np.asarray(found.tracker_id) >= 0  # -1: no track, or one that is not yet confirmed
-        if not known.any():
+        valid = np.asarray(answer.tracker_id) >= 0  # -1: no track, or one that is not yet confirmed
+        if not valid.any():
             seen = TrackedFrame(np.empty(0, np.int64), np.empty((0, 4)), np.empty(0, np.int64), np.empty(0))
         else:
-            columns = (found.tracker_id, found.xyxy, found.class_id, found.confidence)
-            seen = TrackedFrame(*(np.asarray(column)[known] for column in columns))
+            columns = (answer.tracker_id, answer.xyxy, answer.class_id, answer.confidence)
+            seen = TrackedFrame(*(np.asarray(column)[valid] for column in columns))
         assert seen.label is not None
         labels.update(zip(seen.track.tolist(), seen.label.tolist(), strict=True))
         if self.boxes == "detected" and self.coast_s == 0:
@@ -181,19 +181,19 @@ class _LibraryTracker(Tracker):
 
     def _with_states(self, seen: TrackedFrame, tracklets: list[Any], labels: dict[int, int]) -> TrackedFrame:
         """The answer with boxes of the filter, and with tracks that were lost a short time ago."""
-        states: dict[int, Array] = {each.tracker_id: each.get_state_bbox() for each in tracklets}
+        states: dict[int, Array] = {tracklet.tracker_id: tracklet.get_state_bbox() for tracklet in tracklets}
         boxes_px = seen.boxes_px
         if self.boxes == "filtered":
             filtered = np.array([states[track] for track in seen.track.tolist()]).reshape(-1, 4)
             whole = (sizes(filtered) > 0).all(axis=1, keepdims=True)  # a filter of corners may cross them
             boxes_px = np.where(whole, filtered, boxes_px)
         away = [
-            each.tracker_id
-            for each in tracklets
-            if each.tracker_id in labels
-            and each.tracker_id not in seen.track
-            and each.time_since_update_seconds <= self.coast_s + 1e-6
-            and (sizes(states[each.tracker_id]) > 0).all()
+            tracklet.tracker_id
+            for tracklet in tracklets
+            if tracklet.tracker_id in labels
+            and tracklet.tracker_id not in seen.track
+            and tracklet.time_since_update_seconds <= self.coast_s + 1e-6
+            and (sizes(states[tracklet.tracker_id]) > 0).all()
         ]
         assert seen.label is not None
         assert seen.confidence is not None

@@ -69,22 +69,22 @@ class ReferenceTracker(Tracker):
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         """Track the detections of one camera; see `Tracker`."""
-        known, begun, before_s = None, 0, 0.0
+        tracks, begun, before_s = None, 0, 0.0
         for frame in frames:
             free = np.ones(len(frame.boxes_px), dtype=bool)
-            if known is not None:
-                known = self._alive(known, frame.time_s)
-                motion = self._predicted(known.motion, frame.time_s - before_s)
+            if tracks is not None:
+                tracks = self._alive(tracks, frame.time_s)
+                motion = self._predicted(tracks.motion, frame.time_s - before_s)
                 steadied = self._steadied(motion, frame)
-                track, found = self._assigned(steadied, frame)
-                known = replace(known, motion=steadied.with_rows(track, motion.take(track)))
-                known = self._corrected(known, frame, track, found)
-                free[found] = False
+                track, detection = self._assigned(steadied, frame)
+                tracks = replace(tracks, motion=steadied.with_rows(track, motion.take(track)))
+                tracks = self._corrected(tracks, frame, track, detection)
+                free[detection] = False
             fresh = np.flatnonzero(free & (frame.confidence >= self.start_confidence))
             new = self._new(frame, fresh, begun, len(camera.labels))
-            known = new if known is None else known.joined(new) if len(fresh) else known
+            tracks = new if tracks is None else tracks.joined(new) if len(fresh) else tracks
             begun, before_s = begun + len(fresh), frame.time_s
-            yield self._reported(known, frame.time_s, camera)
+            yield self._reported(tracks, frame.time_s, camera)
 
     def _new(self, frame: SensedFrame, rows: Indices, begun: int, labels: int) -> _LiveTracks:
         """Tracks of some of a frame's detections, numbered from `begun` on."""
@@ -106,10 +106,10 @@ class ReferenceTracker(Tracker):
 
     def _steadied(self, motion: MotionEstimates, frame: SensedFrame) -> MotionEstimates:
         """Moved by what all tracks are off by: the camera has turned."""
-        track, found = self._assigned(motion, frame)
+        track, detection = self._assigned(motion, frame)
         if len(track) < _MIN_TRACKS:
             return motion
-        off = np.median(centre_form(frame.boxes_px)[found, :2] - motion.place[track, :2], axis=0)
+        off = np.median(centre_form(frame.boxes_px)[detection, :2] - motion.place[track, :2], axis=0)
         return replace(motion, place=motion.place + np.append(off, [0, 0]))
 
     def _assigned(self, motion: MotionEstimates, frame: SensedFrame) -> tuple[Indices, Indices]:
@@ -118,33 +118,35 @@ class ReferenceTracker(Tracker):
         squared = (centre_form(frame.boxes_px) - motion.place[:, None]) ** 2 / variance
         near = squared[..., :2].sum(axis=-1) <= -2 * np.log1p(-self.gate_probability)  # chi-square with two degrees
         distance = squared.sum(axis=-1)
-        track, found = linear_sum_assignment(np.where(near, distance + np.log(variance).sum(axis=-1), _FORBIDDEN))
-        good = near[track, found]
-        return track[good], found[good]
+        track, detection = linear_sum_assignment(np.where(near, distance + np.log(variance).sum(axis=-1), _FORBIDDEN))
+        good = near[track, detection]
+        return track[good], detection[good]
 
-    def _corrected(self, known: _LiveTracks, frame: SensedFrame, track: Indices, found: Indices) -> _LiveTracks:
-        motion = known.motion.take(track)
-        better = motion.corrected(centre_form(frame.boxes_px[found]), self._noise_px2(motion.place))
-        hits, seen_s, confidence = known.hits.copy(), known.seen_s.copy(), known.confidence.copy()
-        votes, missed = known.votes.copy(), np.ones(len(hits), dtype=bool)
+    def _corrected(self, tracks: _LiveTracks, frame: SensedFrame, track: Indices, detection: Indices) -> _LiveTracks:
+        motion = tracks.motion.take(track)
+        better = motion.corrected(centre_form(frame.boxes_px[detection]), self._noise_px2(motion.place))
+        hits, seen_s, confidence = tracks.hits.copy(), tracks.seen_s.copy(), tracks.confidence.copy()
+        votes, missed = tracks.votes.copy(), np.ones(len(hits), dtype=bool)
         missed[track] = False
-        misses = known.misses + (missed & (hits < self.confirm_hits))
+        misses = tracks.misses + (missed & (hits < self.confirm_hits))
         hits[track] += 1
-        seen_s[track], confidence[track] = frame.time_s, frame.confidence[found]
-        votes[track, frame.label[found]] += frame.confidence[found]
-        return _LiveTracks(known.motion.with_rows(track, better), known.number, hits, misses, seen_s, votes, confidence)
+        seen_s[track], confidence[track] = frame.time_s, frame.confidence[detection]
+        votes[track, frame.label[detection]] += frame.confidence[detection]
+        return _LiveTracks(
+            tracks.motion.with_rows(track, better), tracks.number, hits, misses, seen_s, votes, confidence
+        )
 
-    def _alive(self, known: _LiveTracks, time_s: float) -> _LiveTracks:
-        unconfirmed = (known.hits < self.confirm_hits) & (known.misses > 1)
-        alive = (time_s - known.seen_s <= self.lost_s + _TIME_S) & ~unconfirmed
-        return known if alive.all() else known.take(alive)
+    def _alive(self, tracks: _LiveTracks, time_s: float) -> _LiveTracks:
+        unconfirmed = (tracks.hits < self.confirm_hits) & (tracks.misses > 1)
+        alive = (time_s - tracks.seen_s <= self.lost_s + _TIME_S) & ~unconfirmed
+        return tracks if alive.all() else tracks.take(alive)
 
-    def _reported(self, known: _LiveTracks, time_s: float, camera: CameraFacts) -> TrackedFrame:
-        motion = known.motion
+    def _reported(self, tracks: _LiveTracks, time_s: float, camera: CameraFacts) -> TrackedFrame:
+        motion = tracks.motion
         boxes = corner_form(np.concatenate([motion.place[:, :2], np.maximum(motion.place[:, 2:], 1)], axis=1))
-        shown = (known.hits >= self.confirm_hits) & (time_s - known.seen_s <= self.coast_s + _TIME_S)
+        shown = (tracks.hits >= self.confirm_hits) & (time_s - tracks.seen_s <= self.coast_s + _TIME_S)
         shown &= inside_image(boxes, camera.image_size_px)
         covariance = motion.place_variance[shown, :2, None] * np.eye(2)
-        label = known.votes[shown].argmax(axis=1) if known.votes.shape[1] else None
+        label = tracks.votes[shown].argmax(axis=1) if tracks.votes.shape[1] else None
         boxes = clip(boxes[shown], camera.image_size_px)
-        return TrackedFrame(known.number[shown], boxes, label, known.confidence[shown], covariance)
+        return TrackedFrame(tracks.number[shown], boxes, label, tracks.confidence[shown], covariance)

@@ -154,20 +154,20 @@ def _choice(chosen: str, given: Mapping[str, Any]) -> str:
 
 
 def _model(name: str | Model) -> tuple[Model, Plugin | None]:
-    found: object = name
+    model: object = name
     plugin: Plugin | None = None
     if isinstance(name, type):
         plugin = Plugin(TRACKERS, name.__name__, f"the module {name.__module__}")
     elif name in BUILT_IN:
-        found = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
+        model = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
     else:
-        found, plugin = load_plugin(TRACKERS, name, "--tracker", BUILT_IN)
-    if isinstance(found, type):
-        if issubclass(found, Tracker) and found.follow is not Tracker.follow:
-            return found, plugin
-        if issubclass(found, WorldTracker) and found.follow_world is not WorldTracker.follow_world:
-            return found, plugin
-    problem = f"{plugin} must be a class made from modsim3d.Tracker with a method follow, not {found!r}"
+        model, plugin = load_plugin(TRACKERS, name, "--tracker", BUILT_IN)
+    if isinstance(model, type):
+        if issubclass(model, Tracker) and model.follow is not Tracker.follow:
+            return model, plugin
+        if issubclass(model, WorldTracker) and model.follow_world is not WorldTracker.follow_world:
+            return model, plugin
+    problem = f"{plugin} must be a class made from modsim3d.Tracker with a method follow, not {model!r}"
     raise InputError(f"--tracker {name}", [problem])
 
 

@@ -39,7 +39,7 @@ class Answers:
     def __init__(self, answers: Sequence[TrackedFrame], facts: CameraFacts, problem: Named) -> None:
         """Join answers, one for each frame. Raises what `problem` makes if one cannot be an answer."""
         columns = [_columns(answer, partial(problem, at)) for at, answer in enumerate(answers)]
-        counts = [len(each[0]) for each in columns]
+        counts = [len(arrays[0]) for arrays in columns]
         self.frame: Indices = np.repeat(np.arange(len(columns)), counts)
         empty = _columns(TrackedFrame.empty(), partial(problem, 0))
         self.track, self.boxes_px, self.label, self.confidence, self.covariance_px2 = (
@@ -85,8 +85,8 @@ def world_tracks_of(name: str, answers: Sequence[WorldTrackedStep], times_s: Arr
     estimate. Raises what `problem` makes if one cannot be an answer."""
     parts = [_world_columns(answer, partial(problem, at)) for at, answer in enumerate(answers)]
     none = _world_columns(WorldTrackedStep.empty(), partial(problem, 0))
-    step = np.repeat(np.arange(len(parts)), [len(each[0]) for each in parts])
-    track, position, velocity, covariance = (np.concatenate(each) for each in zip(none, *parts, strict=True))
+    step = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
+    track, position, velocity, covariance = (np.concatenate(column) for column in zip(none, *parts, strict=True))
     checks: tuple[tuple[Mask, str, Array | Indices], ...] = (
         (_repeats(step, track), "two estimates have the track", track),
         (~np.isfinite(position).all(axis=1), "a position must be finite, not", position),
@@ -96,7 +96,7 @@ def world_tracks_of(name: str, answers: Sequence[WorldTrackedStep], times_s: Arr
     _refuse_first(checks, step, track, problem)
     number = _in_order(track)
     count = int(number.max(initial=0))
-    names = tuple(f"{each:0{len(str(count))}}" for each in range(1, count + 1))  # in this order as text too
+    names = tuple(f"{index:0{len(str(count))}}" for index in range(1, count + 1))  # in this order as text too
     return WorldTracks.of(name, number - 1, names, times_s[step], position, velocity, covariance)
 
 
@@ -242,18 +242,18 @@ def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, pro
     with Coprocess(tracker.program, tracker.command, tracker.folder, tracker.timeout_s) as program:
         exchange = Exchange(program, rows)
         try:
-            found = exchange.tracks(tracker.settings, progress)
+            output = exchange.tracks(tracker.settings, progress)
         except ModsimError as error:
-            told = error if isinstance(error, CoprocessError) else program.error(str(error))
-            raise CoprocessError(f"{named}: {exchange.at}: {told.problem}", told.said) from error
+            failure = error if isinstance(error, CoprocessError) else program.error(str(error))
+            raise CoprocessError(f"{named}: {exchange.at}: {failure.problem}", failure.said) from error
     took = np.array(exchange.seconds), program.peak_memory_mb
-    if isinstance(found, list):
+    if isinstance(output, list):
         times_s = scene.times_s(0, rows.steps)
-        return TrackerRun(world_tracks_of(named.name, found, times_s, Feed(named, "", "step", times_s).problem), *took)
+        return TrackerRun(world_tracks_of(named.name, output, times_s, Feed(named, "", "step", times_s).problem), *took)
     sequences, answers = sequences_of(rows, cameras), []
-    for each in sequences:
-        feed = Feed(named, f"camera '{each.camera.name}'", "frame", each.times_s)
-        answers.append(Answers(found[each.camera.name], camera_facts(each, scene), feed.problem).numbered())
+    for sequence in sequences:
+        feed = Feed(named, f"camera '{sequence.camera.name}'", "frame", sequence.times_s)
+        answers.append(Answers(output[sequence.camera.name], camera_facts(sequence, scene), feed.problem).numbered())
     return TrackerRun(joined(answers, sequences, cameras, len(cameras)), *took)
 
 
@@ -275,13 +275,13 @@ def tracked(
 def _in_images(
     named: NamedTracker, sequences: Sequence[CameraSequence], cameras: Sequence[int], scene: Scene, progress: Progress
 ) -> TrackerRun:
-    found, seconds = [], list[float]()
+    answers, seconds = [], list[float]()
     for sequence in sequences:
         facts = camera_facts(sequence, scene)
         feed = camera_feed(named, facts, sequence.times_s, sequence.detections)
-        found.append(Answers(list(feed.answers(progress)), facts, feed.problem).numbered())
+        answers.append(Answers(list(feed.answers(progress)), facts, feed.problem).numbered())
         seconds += feed.seconds
-    return TrackerRun(joined(found, sequences, cameras, len(scene.cameras)), np.array(seconds))
+    return TrackerRun(joined(answers, sequences, cameras, len(scene.cameras)), np.array(seconds))
 
 
 def camera_facts(sequence: CameraSequence, scene: Scene) -> CameraFacts:
@@ -293,14 +293,14 @@ def joined(found: Sequence[Answers], sequences: Sequence[CameraSequence], camera
     """The tracks of some cameras, by their indices among the `count` of the scene."""
     none = Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))
     frames = [
-        sequence.steps[each.frame] * count + camera
-        for each, sequence, camera in zip(found, sequences, cameras, strict=True)
+        sequence.steps[answer.frame] * count + camera
+        for answer, sequence, camera in zip(found, sequences, cameras, strict=True)
     ]
     columns = ("track", "boxes_px", "label", "confidence", "covariance_px2")
     return Tracks.of(
         count,
         np.concatenate([np.empty(0, dtype=np.int64), *frames]),
-        *(np.concatenate([getattr(each, name) for each in (none, *found)]) for name in columns),
+        *(np.concatenate([getattr(answer, name) for answer in (none, *found)]) for name in columns),
     )
 
 
@@ -410,9 +410,9 @@ class Feed:
         given, none = iter(self._given), object()
         while True:
             began = perf_counter()
-            each = next(given, none)
+            entry = next(given, none)
             self._making_s += perf_counter() - began
-            if each is none:
+            if entry is none:
                 return
             self._read += 1
-            yield each
+            yield entry

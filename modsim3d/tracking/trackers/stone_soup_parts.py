@@ -350,7 +350,7 @@ class WorldFilter:
         motion.matrix, motion.covar = _once_a_time(motion.matrix), _once_a_time(motion.covar)
         predictor = KalmanPredictor(motion)
         updater = ExtendedKalmanUpdater(None)
-        nearest, jointly = (_Hypotheses(settings, predictor, updater, each) for each in (False, True))
+        nearest, jointly = (_Hypotheses(settings, predictor, updater, flag) for flag in (False, True))
         starter = _WorldStarter(settings)
         self._readers = (nearest, jointly, starter)
         self._tracker = assembled(settings, starter, updater, nearest, JPDAwithLBP(jointly) if joint else None)
@@ -371,14 +371,14 @@ class WorldFilter:
         self._tracker.update_tracker(time, _OrderedSet(measurements.detections(time)))
 
     def _sighted(self, frame: WorldFrame) -> _Measurements:
-        settings, found = self._settings, frame.located
-        rows = np.flatnonzero(~np.isnan(found.bearing_rad))
-        bearing, inverse = found.bearing_rad[rows], found.inverse_range_per_m[rows]
-        std, alone = found.inverse_range_std_per_m[rows], np.isnan(inverse)
+        settings, places = self._settings, frame.located
+        rows = np.flatnonzero(~np.isnan(places.bearing_rad))
+        bearing, inverse = places.bearing_rad[rows], places.inverse_range_per_m[rows]
+        std, alone = places.inverse_range_std_per_m[rows], np.isnan(inverse)
         towards = float(np.angle(np.exp(1j * bearing).sum()))
         noise = np.empty((len(rows), 2, 2))
-        noise[:, 0, 0], noise[:, 1, 1] = found.bearing_std_rad[rows] ** 2, np.where(alone, 1, std**2)
-        noise[:, 0, 1] = noise[:, 1, 0] = np.where(alone, 0, found.covariance_rad_per_m[rows])
+        noise[:, 0, 0], noise[:, 1, 1] = places.bearing_std_rad[rows] ** 2, np.where(alone, 1, std**2)
+        noise[:, 0, 1] = noise[:, 1, 0] = np.where(alone, 0, places.covariance_rad_per_m[rows])
         noise *= settings.error_scale**2
         nearness = np.clip(np.where(alone, 0, inverse), 1 / settings.farthest_m, 1 / _MIN_RANGE_M)
         noise[:, 0, 0] += (settings.extent_m * nearness) ** 2

@@ -60,17 +60,17 @@ def world_steps(rows: RunRows, *, bare: bool = False) -> Iterator[WorldStep]:
 
 
 def _frames(scene: Scene, sequence: CameraSequence, bare: bool) -> Iterator[WorldFrame]:
-    steps, found, camera = sequence.steps, sequence.detections, sequence.camera
-    sensed = sensed_frames(sequence.times_s, found)
+    steps, detections, camera = sequence.steps, sequence.detections, sequence.camera
+    sensed = sensed_frames(sequence.times_s, detections)
     if bare or not len(steps):
-        yield from (WorldFrame(camera.name, each, _NOWHERE, np.empty(3), np.empty((3, 3))) for each in sensed)
+        yield from (WorldFrame(camera.name, frame, _NOWHERE, np.empty(3), np.empty((3, 3))) for frame in sensed)
         return
-    every = vars(locate(scene, camera.name, steps[found.frame], found.boxes_px)).values()
+    every = vars(locate(scene, camera.name, steps[detections.frame], detections.boxes_px)).values()
     poses = Viewpoints.of(scene, camera, steps, measured=True).poses()
-    edges = np.searchsorted(found.frame, np.arange(len(steps) + 1)).tolist()
-    for row, (each, (a, b)) in enumerate(zip(sensed, pairwise(edges), strict=True)):
+    edges = np.searchsorted(detections.frame, np.arange(len(steps) + 1)).tolist()
+    for row, (frame, (a, b)) in enumerate(zip(sensed, pairwise(edges), strict=True)):
         located = Locations(*(values[a:b] for values in every))
-        yield WorldFrame(camera.name, each, located, poses.positions_m[row], poses.camera_R_world[row])
+        yield WorldFrame(camera.name, frame, located, poses.positions_m[row], poses.camera_R_world[row])
 
 
 _NOWHERE = Locations(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
@@ -79,7 +79,7 @@ _NOWHERE = Locations(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2,
 def _readings(scene: Scene, own: OwnShips, step: int) -> Iterator[Navigation]:
     columns = own.positions_m, own.measured_attitudes_rad, own.measured_rates_rad_s, own.measured_forces_m_s2
     for column, vessel in enumerate(own.vessels.tolist()):
-        yield Navigation(scene.vessel_names[vessel], *(each[step, column].copy() for each in columns))
+        yield Navigation(scene.vessel_names[vessel], *(values[step, column].copy() for values in columns))
 
 
 def ais_reports(scene: Scene, steps: int) -> list[AisReport]:
@@ -87,16 +87,16 @@ def ais_reports(scene: Scene, steps: int) -> list[AisReport]:
     `modsim3d export --format ais` writes."""
     import pyais  # slow, and every campaign imports this module
 
-    others = tuple(each for each in stations(scene, scene.own_ships) if not each.own)
-    found = sorted(reports(scene, steps, others))
-    texts = [lines(each.message, False, "AB"[each.number % 2], each.number % 10, each.time_s) for each in found]
+    others = tuple(station for station in stations(scene, scene.own_ships) if not station.own)
+    ais = sorted(reports(scene, steps, others))
+    texts = [lines(report.message, False, "AB"[report.number % 2], report.number % 10, report.time_s) for report in ais]
     decoded = [pyais.decode(*_sentences(text)) for text in texts]
-    places = iter(_places([each for each in decoded if hasattr(each, "lat")], scene.origin or NOWHERE))
+    places = iter(_places([message for message in decoded if hasattr(message, "lat")], scene.origin or NOWHERE))
     return [
-        _with_place(report.time_s, text, said, next(places))
-        if hasattr(said, "lat")
-        else AisReport(report.time_s, report.mmsi, text, sides_m=_sides(said))
-        for report, text, said in zip(found, texts, decoded, strict=True)
+        _with_place(report.time_s, text, message, next(places))
+        if hasattr(message, "lat")
+        else AisReport(report.time_s, report.mmsi, text, sides_m=_sides(message))
+        for report, text, message in zip(ais, texts, decoded, strict=True)
     ]
 
 
@@ -104,18 +104,18 @@ def _sentences(text: str) -> list[bytes]:
     return [line.rpartition("\\")[2].encode() for line in text.splitlines()]
 
 
-def _sides(said: Any) -> tuple[int, int, int, int] | None:
+def _sides(message: Any) -> tuple[int, int, int, int] | None:
     """The sides that a message of names gives; None for part A of message 24, which has none."""
-    sides = [getattr(said, f"to_{side}", None) for side in ("bow", "stern", "port", "starboard")]
+    sides = [getattr(message, f"to_{side}", None) for side in ("bow", "stern", "port", "starboard")]
     return None if None in sides else tuple(sides)  # type: ignore[return-value]
 
 
-def _places(said: Sequence[Any], origin: tuple[float, float]) -> Array:
+def _places(messages: Sequence[Any], origin: tuple[float, float]) -> Array:
     """Place, turn of true north and velocity of reports of positions, shape (n, 5)."""
     latitude, longitude, speed, course = np.array(
-        [(each.lat, each.lon, each.speed, each.course) for each in said], dtype=np.float64
+        [(message.lat, message.lon, message.speed, message.course) for message in messages], dtype=np.float64
     ).reshape(-1, 4).T  # fmt: skip
-    metres = local_metres(latitude, longitude, origin) if len(said) else np.empty((0, 2))
+    metres = local_metres(latitude, longitude, origin) if len(messages) else np.empty((0, 2))
     # True north differs from w2 by the convergence of the meridians, as in the export.
     north = np.deg2rad(wrapped_deg(longitude - origin[1])) * np.sin(np.deg2rad(latitude))
     angle, fast = np.deg2rad(course) - north, speed * KNOT_M_S
@@ -124,10 +124,10 @@ def _places(said: Sequence[Any], origin: tuple[float, float]) -> Array:
     return np.column_stack([metres, north, *velocity])
 
 
-def _with_place(received_s: float, text: str, said: Any, row: Array) -> AisReport:
+def _with_place(received_s: float, text: str, message: Any, row: Array) -> AisReport:
     sent_s, heading = math.floor(received_s), None
-    if said.heading < NO_HEADING:
-        heading = float(wrapped_deg(90 - said.heading + np.rad2deg(row[2]))) * math.pi / 180
-    measured_s = float(sent_s - (EPOCH_S + sent_s - said.second) % 60)
+    if message.heading < NO_HEADING:
+        heading = float(wrapped_deg(90 - message.heading + np.rad2deg(row[2]))) * math.pi / 180
+    measured_s = float(sent_s - (EPOCH_S + sent_s - message.second) % 60)
     velocity = None if np.isnan(row[3]) else row[3:]
-    return AisReport(received_s, int(said.mmsi), text, measured_s, row[:2], velocity, heading)
+    return AisReport(received_s, int(message.mmsi), text, measured_s, row[:2], velocity, heading)

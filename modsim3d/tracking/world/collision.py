@@ -122,10 +122,10 @@ class CpaRules:
     @classmethod
     def of(cls, limits: Mapping[str, float]) -> CpaRules:
         """Limits by their names, the others as usual. Raises ModsimError for another name."""
-        known = [field.name for field in fields(cls)]
+        names = [field.name for field in fields(cls)]
         for name in limits:
-            if name not in known:
-                raise ModsimError(f"cpa: unknown key {shown(name)} ({nearest(str(name), known)})")
+            if name not in names:
+                raise ModsimError(f"cpa: unknown key {shown(name)} ({nearest(str(name), names)})")
         return cls(**limits)
 
 
@@ -164,7 +164,7 @@ class PredictedApproaches:
 
     def flat(self) -> dict[str, float | int | None]:
         """Keys of the scores: at `before_s` before the closest approach."""
-        at = next(each for each in self.by_time_left if each.place == self.rules.before_s)
+        at = next(cpa for cpa in self.by_time_left if cpa.place == self.rules.before_s)
         names = ("in_view", "predicted", "alarms_due", "missed_alarms", "false_alarms")
         return {
             "cpa_right_share": at.right / at.in_view if at.in_view else None,
@@ -195,22 +195,22 @@ class _Predictions:
 
     def errors_of(self, place: float, chosen: Mask) -> tuple[float | int | None, ...]:
         names, errors = self.encounter[chosen], self.errors[chosen]
-        each = [np.median(errors[names == name], axis=0) for name in np.unique(names)]
-        return place, len(each), *(np.median(each, axis=0).tolist() if each else [None] * errors.shape[1])
+        medians = [np.median(errors[names == name], axis=0) for name in np.unique(names)]
+        return place, len(medians), *(np.median(medians, axis=0).tolist() if medians else [None] * errors.shape[1])
 
 
 def predicted_approaches(
     following: WorldMatching, encounters: Sequence[MetVessel], rules: CpaRules
 ) -> PredictedApproaches:
     """Closest approaches as tracks predict them, of the vessels that passed and that a camera saw before."""
-    met = [each for each in encounters if each.expected]
-    found = _predictions(following, met)
+    met = [event for event in encounters if event.expected]
+    cpas = _predictions(following, met)
     times_left_s = sorted({*TIMES_LEFT_S, rules.before_s})
     return PredictedApproaches(
         rules,
-        tuple(_at_time(following, met, found, left_s, rules) for left_s in times_left_s),
+        tuple(_at_time(following, met, cpas, left_s, rules) for left_s in times_left_s),
         tuple(
-            CpaErrors(*found.errors_of(low, (found.range_m >= low) & (found.range_m < high)))  # type: ignore[arg-type]
+            CpaErrors(*cpas.errors_of(low, (cpas.range_m >= low) & (cpas.range_m < high)))  # type: ignore[arg-type]
             for low, high in pairwise(RANGE_EDGES_M)
         ),
         _ghost_alarms(following, rules),
@@ -220,17 +220,17 @@ def predicted_approaches(
 def _predictions(following: WorldMatching, met: Sequence[MetVessel]) -> _Predictions:
     truth, tracks, names = following.truth, following.tracks, following.truth.names
     parts = [(np.zeros(0, dtype=np.int64),) * 2 + (np.zeros(0),) * 2 + (np.zeros((0, 3)),)]
-    for index, each in enumerate(met):
-        own, vessel = names.index(each.own_ship), names.index(each.vessel)
-        step = np.flatnonzero(following.found[:, vessel] & (truth.times_s < each.closest_s))
+    for index, event in enumerate(met):
+        own, vessel = names.index(event.own_ship), names.index(event.vessel)
+        step = np.flatnonzero(following.found[:, vessel] & (truth.times_s < event.closest_s))
         row = following.followed_by[step, vessel]
-        known = np.isfinite(tracks.velocity_m_s[row]).all(axis=1)
-        step, row = step[known], row[known]
+        finite = np.isfinite(tracks.velocity_m_s[row]).all(axis=1)
+        step, row = step[finite], row[finite]
         times_s = tracks.time_s[row]
         (own_m, own_m_s), true = (_true(following, times_s, one) for one in (own, vessel))
         cpa_m, tcpa_s = predicted_approach(tracks.position_m[row] - own_m, tracks.velocity_m_s[row] - own_m_s)
         perfect_m, _ = predicted_approach(true[0] - own_m, true[1] - own_m_s)
-        errors = (cpa_m - each.closest_m, times_s + tcpa_s - each.closest_s, perfect_m - each.closest_m)
+        errors = (cpa_m - event.closest_m, times_s + tcpa_s - event.closest_s, perfect_m - event.closest_m)
         range_m = np.hypot(*(true[0] - own_m).T)
         parts.append((np.full(len(row), index), step, range_m, cpa_m, np.abs(np.column_stack(errors))))
     return _Predictions(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -243,19 +243,19 @@ def _true(following: WorldMatching, times_s: Array, vessel: int) -> tuple[Array,
 
 
 def _at_time(
-    following: WorldMatching, met: Sequence[MetVessel], found: _Predictions, left_s: float, rules: CpaRules
+    following: WorldMatching, met: Sequence[MetVessel], cpas: _Predictions, left_s: float, rules: CpaRules
 ) -> CpaAtTime:
-    numbers = np.array([(each.closest_m, each.seen_s, each.closest_s - left_s) for each in met], dtype=np.float64)
+    numbers = np.array([(event.closest_m, event.seen_s, event.closest_s - left_s) for event in met], dtype=np.float64)
     closest_m, seen_s, wanted_s = numbers.reshape(-1, 3).T
     in_view = seen_s <= wanted_s
     step = np.searchsorted(following.truth.times_s, wanted_s, side="right") - 1
-    here = in_view[found.encounter] & (found.step == step[found.encounter])
+    here = in_view[cpas.encounter] & (cpas.step == step[cpas.encounter])
     cpa_m = np.full(len(met), np.nan)
-    cpa_m[found.encounter[here]] = found.cpa_m[here]
+    cpa_m[cpas.encounter[here]] = cpas.cpa_m[here]
     due, alarm = in_view & (closest_m < rules.alarm_m), cpa_m < rules.alarm_m
     right = np.abs(cpa_m - closest_m) <= rules.right_m
     counts = (in_view, right, due, due & ~alarm, alarm & ~due)
-    return CpaAtTime(*found.errors_of(left_s, here), *(int(each.sum()) for each in counts))  # type: ignore[arg-type]
+    return CpaAtTime(*cpas.errors_of(left_s, here), *(int(mask.sum()) for mask in counts))  # type: ignore[arg-type]
 
 
 def _ghost_alarms(following: WorldMatching, rules: CpaRules) -> int:

@@ -51,8 +51,8 @@ class WorldTruth:
         """By central differences, NaN where a vessel is absent, shape (S, V, 2)."""
         centres_m = self.hulls.centres_m
         present = np.isfinite(centres_m[..., 0])
-        found = velocities(self.times_s, np.where(present[..., None], centres_m, 0.0), present)
-        return np.where(present[..., None], found, np.nan)
+        vectors = velocities(self.times_s, np.where(present[..., None], centres_m, 0.0), present)
+        return np.where(present[..., None], vectors, np.nan)
 
     def positions_at(self, times_s: Array, vessels: Indices) -> Array:
         """Centres of m vessels at m times, straight between steps, NaN where absent, shape (m, 2)."""
@@ -68,8 +68,8 @@ class WorldTruth:
         start, end = values[before, vessels], values[after, vessels]
         # At a step only that step counts: its neighbour may be absent.
         between = (1 - share) * start + share * end
-        found: Array = np.where(share == 0, start, np.where(share == 1, end, between))
-        return found
+        blend: Array = np.where(share == 0, start, np.where(share == 1, end, between))
+        return blend
 
     def _legs(self, times_s: Array) -> tuple[Indices, Array]:
         """Step before each time, and the share of the way to the next, shapes (m,) and (m, 1). Half an interval before
@@ -87,10 +87,10 @@ def in_last_frames(rows: RunRows, frame: Indices, vessel: Indices, value: Indice
     """Values of n vessels in frames, as they were in the last frame of each camera at each step, (n,) to (S, C, V);
     `NOBODY` for none."""
     cameras = len(rows.scene.cameras)
-    found = np.full((rows.steps * cameras + 1, len(rows.scene.vessels)), NOBODY)  # the last is the frame NOBODY
-    found[frame, vessel] = value
+    table = np.full((rows.steps * cameras + 1, len(rows.scene.vessels)), NOBODY)  # the last is the frame NOBODY
+    table[frame, vessel] = value
     last = rows.last_taken(np.arange(rows.steps))
-    return found[np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))]
+    return table[np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))]
 
 
 def visibility(rows: RunRows) -> Mask:
@@ -160,7 +160,7 @@ def distances_at(truth: WorldTruth, tracks: WorldTracks, step: int, vessels: Ind
     if (times_s == truth.times_s[step]).all():
         return distances(truth.hulls.centres_m[step, vessels], tracks.position_m[rows])
     pairs = np.meshgrid(vessels, np.arange(len(rows)), indexing="ij")
-    vessel, column = (each.reshape(-1) for each in pairs)
+    vessel, column = (grid.reshape(-1) for grid in pairs)
     offset = truth.positions_at(times_s[column], vessel) - tracks.position_m[rows[column]]
     apart = np.hypot(offset[:, 0], offset[:, 1]).reshape(len(vessels), len(rows))
     return np.where(np.isnan(apart), np.inf, apart)

@@ -41,9 +41,9 @@ def quartiles(values: list[float | None]) -> Quartiles:
     """Quartiles of values, None for never; of n values each is one of them, the lower of two."""
     if not values:
         return Quartiles(None, None, None)
-    known: Array = np.array([-np.inf if value is None else value for value in values])
-    found = np.quantile(known, (0.25, 0.5, 0.75), method="inverted_cdf").tolist()
-    return Quartiles(*(value if np.isfinite(value) else None for value in found))
+    numbers: Array = np.array([-np.inf if value is None else value for value in values])
+    cuts = np.quantile(numbers, (0.25, 0.5, 0.75), method="inverted_cdf").tolist()
+    return Quartiles(*(value if np.isfinite(value) else None for value in cuts))
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ def world_errors(following: WorldMatching) -> WorldErrors:
 
     def by_vessel(values: Array) -> Array:
         """Mean of each vessel's values that are not NaN, NaN for none, shape (V,)."""
-        known = ~np.isnan(values)
-        count = np.bincount(vessel[known], minlength=len(truth.names))
-        total = np.bincount(vessel[known], values[known], minlength=len(truth.names))
+        valid = ~np.isnan(values)
+        count = np.bincount(vessel[valid], minlength=len(truth.names))
+        total = np.bincount(vessel[valid], values[valid], minlength=len(truth.names))
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     whole = nees_or_infinity(np.concatenate([position, velocity], axis=1), covariance)
@@ -118,8 +118,8 @@ class WorldContinuity:
 
 def world_continuity(following: WorldMatching) -> WorldContinuity:
     """Continuity of all vessels, and false tracks."""
-    scored, found = following.truth.scored, following.found
-    steps, followed = scored.sum(axis=0), found.sum(axis=0)
+    scored, matches = following.truth.scored, following.found
+    steps, followed = scored.sum(axis=0), matches.sum(axis=0)
     share = np.where(steps > 0, followed / np.maximum(steps, 1), np.nan)
     tracks = following.tracks.track[following.estimates.row]
     false = ~np.isin(tracks, tracks[following.vessel != NOBODY])
@@ -174,8 +174,8 @@ class WorldScores:
         return {
             **_mean_keys("rmse_m", errors.rmse_m),
             **_mean_keys("rmse_m_s", errors.rmse_m_s),
-            **{key: value for name, each in nees.items() for key, value in _mean_keys(name, each).items()},
-            **{f"a{name}": None if each.mean is None else each.mean / _DIMENSIONS[name] for name, each in nees.items()},
+            **{key: value for name, stat in nees.items() for key, value in _mean_keys(name, stat).items()},
+            **{f"a{name}": None if stat.mean is None else stat.mean / _DIMENSIONS[name] for name, stat in nees.items()},
             "pairs": errors.pairs,
             **dict(zip(gospa, self.gospa or (None,) * len(gospa), strict=True)),
             **dict(zip(of_tracks, self.t_gospa or (None,) * len(of_tracks), strict=True)),
@@ -190,12 +190,12 @@ class WorldScores:
         }
 
     def _encounter_keys(self) -> Mapping[str, float | int | None]:
-        met = [each for each in self.encounters if each.expected]
+        met = [encounter for encounter in self.encounters if encounter.expected]
         keys: dict[str, float | int | None] = {"encounters": len(met)}
-        keys["encounters_established"] = sum(each.in_time for each in met)
+        keys["encounters_established"] = sum(encounter.in_time for encounter in met)
         for name in ("established_m", "time_left_s"):
-            found = quartiles([getattr(each, name) if each.in_time else None for each in met])
-            keys |= {name: found.median, f"{name}_lower": found.lower, f"{name}_upper": found.upper}
+            spread = quartiles([getattr(encounter, name) if encounter.in_time else None for encounter in met])
+            keys |= {name: spread.median, f"{name}_lower": spread.lower, f"{name}_upper": spread.upper}
         return keys
 
 

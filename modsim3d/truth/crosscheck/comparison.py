@@ -85,14 +85,14 @@ def _possible(drawing: Drawing, solid: Indices, count: int, points: Array) -> Ma
         at_least = np.fmax(here - spread, farthest)
     possible = np.zeros((len(points), count + 1), dtype=bool)
     most, least = np.zeros((2, len(points), count))
-    for each in np.flatnonzero(np.bincount(solid, minlength=count)).tolist():
-        own = solid == each
-        most[:, each] = np.where(perhaps[:, own], at_most[:, own], 0.0).max(axis=1)
-        least[:, each] = np.where(surely[:, own], at_least[:, own], 0.0).max(axis=1)
+    for number in np.flatnonzero(np.bincount(solid, minlength=count)).tolist():
+        own = solid == number
+        most[:, number] = np.where(perhaps[:, own], at_most[:, own], 0.0).max(axis=1)
+        least[:, number] = np.where(surely[:, own], at_least[:, own], 0.0).max(axis=1)
     possible[:, 0] = ~(least > 0).any(axis=1)
-    for each in range(count):
-        others = np.delete(least, each, axis=1).max(axis=1, initial=0.0)
-        possible[:, each + 1] = (most[:, each] > 0) & (most[:, each] >= others)
+    for number in range(count):
+        others = np.delete(least, number, axis=1).max(axis=1, initial=0.0)
+        possible[:, number + 1] = (most[:, number] > 0) & (most[:, number] >= others)
     return possible
 
 
@@ -128,7 +128,7 @@ class CheckCounts:
 
     def __add__(self, other: CheckCounts) -> CheckCounts:
         """Both together: counts are summed, of differences the larger ones are kept."""
-        pairs = {each.name: (getattr(self, each.name), getattr(other, each.name)) for each in fields(self)}
+        pairs = {field.name: (getattr(self, field.name), getattr(other, field.name)) for field in fields(self)}
         return CheckCounts(**{name: (max if name.startswith("largest") else sum)(pair) for name, pair in pairs.items()})
 
 
@@ -169,23 +169,23 @@ def check_frame(
     rectangle around all vessels. Raises Difference if they differ by more than ties."""
     row_of = {vessel: row for row, vessel in enumerate(said.truth.vessel.tolist())}
     vessels = sorted({*row_of, *(boxed & drawing.boxes_px.keys())})
-    found = [_VesselPixels(drawing, said, vessel, row_of.get(vessel), names) for vessel in vessels]
+    checks = [_VesselPixels(drawing, said, vessel, row_of.get(vessel), names) for vessel in vessels]
     for tile in tiles_of(drawing.image if whole else drawing.region(*vessels)):
         seen = drawing.ids(renderer, tile)
-        for pixels in found:
+        for pixels in checks:
             pixels.compare(renderer, seen, tile)
         if whole and seen.any():
-            _look_beside(found, seen, tile)
+            _look_beside(checks, seen, tile)
     one = CheckCounts(frames=1, empty_frames=int(not row_of), whole_frames=int(whole), vessels=len(row_of))
-    return sum((pixels.checked() for pixels in found), one)
+    return sum((pixels.checked() for pixels in checks), one)
 
 
-def _look_beside(found: Sequence[_VesselPixels], seen: Ids, tile: Region) -> None:
+def _look_beside(checks: Sequence[_VesselPixels], seen: Ids, tile: Region) -> None:
     """Refuse vessels whose IDs `seen` in a tile has outside the rectangles around them; what is inside is cleared."""
-    for pixels in found:
+    for pixels in checks:
         ids = pixels.part(seen, tile, pixels.region.common(tile))
         ids[ids == pixels.vessel + 1] = 0
-    for pixels in found if seen.any() else ():
+    for pixels in checks if seen.any() else ():
         if beside := int(np.count_nonzero(seen == pixels.vessel + 1)):
             pixels.refuse("pixels outside the box of its corners", "0", str(beside))
 
@@ -222,21 +222,21 @@ class _VesselPixels:
         shown = alone & ((ids == self.vessel + 1) | (ids == 0))
         saids = [mask_of(spans, region) for spans in self.spans]
         kinds = ("silhouette", self.alone, saids[0], alone), ("visible", self.drawing, saids[1], shown)
-        for which, (what, of, said, drawn) in enumerate(kinds):
-            self._compare(of, what, said, drawn, region)
-            if said.any():
-                self.px[which] += int(np.count_nonzero(said))
-                box = mask_box(said, region)
+        for which, (what, of, claim, drawn) in enumerate(kinds):
+            self._compare(of, what, claim, drawn, region)
+            if claim.any():
+                self.px[which] += int(np.count_nonzero(claim))
+                box = mask_box(claim, region)
                 self.boxes[which, :2] = np.minimum(self.boxes[which, :2], box[:2])
                 self.boxes[which, 2:] = np.maximum(self.boxes[which, 2:], box[2:])
         y, x = np.nonzero((alone & ~shown) | (saids[0] & ~saids[1]))
         self.hidden.append(np.stack([y + region.y, x + region.x]))
         if (hidden := alone & ~shown).any():
             counts = np.bincount(ids[hidden])
-            self.hidden_by.update({int(each) - 1: int(counts[each]) for each in np.flatnonzero(counts)})
+            self.hidden_by.update({int(number) - 1: int(counts[number]) for number in np.flatnonzero(counts)})
 
-    def _compare(self, drawing: Drawing, what: str, said: Mask, drawn: Mask, region: Region) -> None:
-        self.masks, differing = (said, drawn), said ^ drawn
+    def _compare(self, drawing: Drawing, what: str, claim: Mask, drawn: Mask, region: Region) -> None:
+        self.masks, differing = (claim, drawn), claim ^ drawn
         if not differing.any():
             return
         y, x = np.nonzero(differing)
@@ -245,7 +245,7 @@ class _VesselPixels:
         if not ties.all():
             column, row = int(x[~ties][0]) + region.x, int(y[~ties][0]) + region.y
             where = f"{np.count_nonzero(~ties)} pixels differ, one of them at column {column}, row {row}"
-            self.refuse(f"{what} pixels", f"{np.count_nonzero(said)}", f"{np.count_nonzero(drawn)} ({where})")
+            self.refuse(f"{what} pixels", f"{np.count_nonzero(claim)}", f"{np.count_nonzero(drawn)} ({where})")
 
     def checked(self) -> CheckCounts:
         """Result of the comparison, once all tiles were compared. Raises Difference if numbers or boxes of the truth

@@ -69,7 +69,7 @@ def obstacle_triangles(obstacles: tuple[Obstacle, ...], first_occluder: int, cam
 
 @lru_cache(maxsize=4)
 def _standing(obstacles: tuple[Obstacle, ...], first_occluder: int) -> WorldTriangles:
-    solids = [(index, *each) for index, obstacle in enumerate(obstacles) for each in obstacle.solids]
+    solids = [(index, *pair) for index, obstacle in enumerate(obstacles) for pair in obstacle.solids]
     parts = [
         WorldTriangles.of_solid(vertices[solid.faces], solid, first_occluder + index, first_occluder + number + 1)
         for number, (index, solid, vertices) in enumerate(solids)
@@ -192,7 +192,7 @@ class Drawing:
 
     def region(self, *occluders: int) -> Region:
         """The rectangle around solids, with a margin, in the image; empty if none of them is there."""
-        boxes = np.array([self.boxes_px[each] for each in occluders if each in self.boxes_px]).reshape(-1, 4)
+        boxes = np.array([self.boxes_px[solid] for solid in occluders if solid in self.boxes_px]).reshape(-1, 4)
         around = np.concatenate([boxes[:, :2].min(axis=0, initial=np.inf), boxes[:, 2:].max(axis=0, initial=-np.inf)])
         return Region.around(around, self.size_px, MARGIN_PX)
 

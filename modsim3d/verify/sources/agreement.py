@@ -114,8 +114,8 @@ def compare_with_analytic(
             tip = np.array_equal(visible_side[row], full_side[row])
             visible[row] = check.visible(row, masks, Agreement.SHARP_TIP if tip else Agreement.SLIVER)
     looked_at = full_off | visible_off
-    found = Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, looked_at)
-    return found.take(np.flatnonzero(outlines.boxed))
+    comparison = Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, looked_at)
+    return comparison.take(np.flatnonzero(outlines.boxed))
 
 
 def _off(sides_px: Array, supersample: int) -> Mask:
@@ -430,8 +430,8 @@ def _box_figures(sides_px: Array, agreement: Indices) -> BoxFigures:
 
 def _fraction_figures(differences: Array, bounds: Array) -> FractionFigures:
     """Figures of fraction differences (n,), NaN if a source has none, and what the boundary can explain (n,)."""
-    known = ~np.isnan(differences)
-    difference, bound = np.append(np.abs(differences[known]), 0.0), np.append(bounds[known], 0.0)
+    finite = ~np.isnan(differences)
+    difference, bound = np.append(np.abs(differences[finite]), 0.0), np.append(bounds[finite], 0.0)
     return FractionFigures(
         max=float(difference.max()),
         p99=float(np.quantile(difference, 0.99)),

@@ -54,16 +54,16 @@ class FastPath:
         words: dict[int, str] = {}  # row → how it differs
         missing = 0
         for frame, drawing in enumerate(drawings):
-            silhouettes, visible = (spans_of_frame(each, self.outlines, frame) for each in self.spans)
-            said = FrameValues(truth.take(truth.step == frame), silhouettes, visible, areas={})
+            silhouettes, visible = (spans_of_frame(spans, self.outlines, frame) for spans in self.spans)
+            claims = FrameValues(truth.take(truth.step == frame), silhouettes, visible, areas={})
             vessels = set(np.flatnonzero(boxed[frame]).tolist())
             while True:  # until all vessels that differ are left out
                 try:
-                    checked += check_frame(drawing, renderer, said, vessels, names)
+                    checked += check_frame(drawing, renderer, claims, vessels, names)
                     break
                 except Difference as each:
-                    own = said.truth.vessel == each.vessel
-                    said, vessels = replace(said, truth=said.truth.take(~own)), vessels - {each.vessel}
+                    own = claims.truth.vessel == each.vessel
+                    claims, vessels = replace(claims, truth=claims.truth.take(~own)), vessels - {each.vessel}
                     missing += not own.any()
                     row = self.outlines.boxed & (self.outlines.frame == frame) & (self.outlines.occluder == each.vessel)
                     text = f"{each.what}: {each.truth} in the truth, {each.drawn} drawn"

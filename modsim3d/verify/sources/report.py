@@ -35,7 +35,7 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
     """The comparison, to be read; its pictures need a renderer. A page has no times."""
     figures, rule = comparison.figures, comparison.figures.rectangles_against_rendered
     wrong = in_percent(rule.wrong_share, 1)
-    said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
+    summary = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
     agreed, largest = ("Agreement", "Full box", "Visible part"), "largest difference of a side"
     full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
     verdicts = [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
@@ -54,7 +54,7 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
                 ]
             ),
             Heading("Rendered against drawn and analytic"),
-            Fold(said, tables, opened=figures.unexplained > 0),
+            Fold(summary, tables, opened=figures.unexplained > 0),
             Heading("The idealised rectangle rule against rendered"),
             Table("", (), _rule_rows(rule)),
             Heading("Time per frame"),
@@ -140,9 +140,9 @@ def _provenance(
     comparison: SourceComparison, scene: Scene, renderer: IdRenderer, made_by: str, given: str | None
 ) -> Provenance:
     figures = comparison.figures
-    said = "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json"
-    whole = Input("scene as compared", given or shown_path(Path(scene.path)), scene.sha256, said)
-    files = dict.fromkeys(each for each in scene.copy.read if each.is_file())
+    note = "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json"
+    whole = Input("scene as compared", given or shown_path(Path(scene.path)), scene.sha256, note)
+    files = dict.fromkeys(path for path in scene.copy.read if path.is_file())
     return Provenance(
         page="comparison of the sources of truth",
         made_by=made_by,
@@ -249,19 +249,19 @@ def check_truth(
     with claimed(paths, overwrite=overwrite, inputs=read), open_renderer(scene) as renderer:
         if renderer is None:
             raise ModsimError("check truth needs the rendered source")
-        found = compare_sources(scene, renderer, every=every, progress=progress)
+        comparison = compare_sources(scene, renderer, every=every, progress=progress)
         if folder is not None:
             rests_on = _provenance(
-                found, scene, renderer, call or f"modsim3d.check_truth of {scene.name} from Python", named
+                comparison, scene, renderer, call or f"modsim3d.check_truth of {scene.name} from Python", named
             )
             contents: list[bytes | str] = [
-                orjson.dumps(found.figures, option=orjson.OPT_INDENT_2) + b"\n",
-                document_page(document(found, scene, renderer), rests_on),
+                orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n",
+                document_page(document(comparison, scene, renderer), rests_on),
             ]
-            if worst := found.findings.rule.worst:
+            if worst := comparison.findings.rule.worst:
                 contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
             else:
                 paths[-1].unlink(missing_ok=True)  # that of a comparison which is replaced
             write_files(dict(zip(paths, contents, strict=False)))
         written = tuple(path for path in paths if path.exists())  # a picture only where a vessel is occluded
-        return TruthComparison(found.findings, found.figures, scene, renderer.context.description, written)
+        return TruthComparison(comparison.findings, comparison.figures, scene, renderer.context.description, written)

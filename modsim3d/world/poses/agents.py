@@ -170,9 +170,9 @@ def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: 
     others = np.flatnonzero((np.arange(len(fleet.heading)) != i) & np.isfinite(fleet.place[:, 0]))
     if not len(others):
         return wall
-    theirs = np.stack([np.cos(fleet.heading[others]), np.sin(fleet.heading[others])], axis=1)
-    centres = fleet.place[others] + theirs * (fleet.speed[others] * time_s)[..., None]
-    apart: Array = _gaps(place, axes, fleet.half_m[i], centres, theirs, fleet.half_m[others]).min(axis=-1)
+    other_axes = np.stack([np.cos(fleet.heading[others]), np.sin(fleet.heading[others])], axis=1)
+    centres = fleet.place[others] + other_axes * (fleet.speed[others] * time_s)[..., None]
+    apart: Array = _gaps(place, axes, fleet.half_m[i], centres, other_axes, fleet.half_m[others]).min(axis=-1)
     return np.minimum(wall, apart)
 
 

@@ -261,10 +261,10 @@ def _along(tracks: Sequence[Array], times_s: Array) -> tuple[Mask, Array, Array]
     reached = np.cumsum(np.bincount(step * size[1] + vessel, minlength=size[0] * size[1]).reshape(size), axis=0)[:-1]
     leg = first + np.clip(reached - 1, 0, counts - 2)
     start, end = waypoints[leg], waypoints[leg + 1]
-    there = (times_s[:, None] >= waypoints[first, 0]) & (times_s[:, None] <= waypoints[first + counts - 1, 0])
+    present = (times_s[:, None] >= waypoints[first, 0]) & (times_s[:, None] <= waypoints[first + counts - 1, 0])
     share = (times_s[:, None] - start[..., 0]) / (end[..., 0] - start[..., 0])
     places_m = start[..., 1:] + share[..., None] * (end - start)[..., 1:]
-    return there, places_m, heading_of((end - start)[..., 1:])
+    return present, places_m, heading_of((end - start)[..., 1:])
 
 
 def waypoint_tracks(
@@ -272,12 +272,12 @@ def waypoint_tracks(
 ) -> WaypointTracks:
     """Tracks from waypoints in a scene file; vessels without one are absent. Raises InputError with every problem."""
     problems: list[str] = []
-    known = set(vessels)
+    names = set(vessels)
     for name, waypoints in tracks.items():
         if len(problems) >= MAX_PROBLEMS:
             break
         path = join_path("poses", "tracks", name)
-        if name not in known:
+        if name not in names:
             problems.append(f"{path}: no vessel '{name}' ({nearest(name, vessels)})")
         if len(waypoints) < 2:
             problems.append(f"{path}: at least two waypoints [time_s, w1_m, w2_m] are needed (got {len(waypoints)})")

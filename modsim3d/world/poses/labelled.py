@@ -113,7 +113,7 @@ class LabelledPoses:
 
     def sequence(self, camera: str) -> ImageSequence:
         """The images of a camera, by its name."""
-        return next(each for each in self.sequences if each.name == camera)
+        return next(sequence for sequence in self.sequences if sequence.name == camera)
 
     def alone(self, number: int) -> LabelledPoses:
         """One of the sequences with its own steps and vessels, by its place."""
@@ -123,12 +123,12 @@ class LabelledPoses:
             chosen = rows.take(rows.camera == number)
             return replace(chosen, step=np.searchsorted(own.steps, chosen.step), camera=np.zeros_like(chosen.camera))
 
-        boxes, found = ours(self.boxes), self.detections
+        boxes, results = ours(self.boxes), self.detections
         used, vessel = np.unique(boxes.vessel, return_inverse=True)
-        if found is not None:
+        if results is not None:
             before = np.cumsum(self.boxes.camera == number) - 1
-            found = ours(found)
-            found = replace(found, row=np.where(found.row >= 0, np.append(before, NOBODY)[found.row], NOBODY))
+            results = ours(results)
+            results = replace(results, row=np.where(results.row >= 0, np.append(before, NOBODY)[results.row], NOBODY))
         names = list(self.vessels)
         return replace(
             self,
@@ -137,7 +137,7 @@ class LabelledPoses:
             vessels={names[index]: self.vessels[names[index]] for index in used.tolist()},
             boxes=replace(boxes, vessel=vessel),
             regions=ours(self.regions),
-            detections=found,
+            detections=results,
             videos=len(self.sequences),
         )
 
@@ -146,7 +146,7 @@ class LabelledPoses:
         content = {
             "format": FORMAT,
             "timestamps": self.timestamps,
-            "sequences": [asdict(each) for each in self.sequences],
+            "sequences": [asdict(sequence) for sequence in self.sequences],
             "vessels": dict(self.vessels),
             **{part: None if (rows := getattr(self, part)) is None else vars(rows) for part in _PARTS},
             "notes": self.notes,
@@ -161,7 +161,7 @@ def read_labels(path: Path) -> LabelledPoses:
     try:
         if content["format"] != FORMAT:
             raise InputError(source, [f"format: must be {FORMAT} (got {shown(content['format'])})"])
-        sequences = tuple(_sequence(each) for each in content["sequences"])
+        sequences = tuple(_sequence(entry) for entry in content["sequences"])
         parts = {name: _columns(kind, content[name]) for name, kind in _PARTS.items()}
         labels = LabelledPoses(
             tuple(map(str, content["timestamps"])),
@@ -204,15 +204,15 @@ def _checked(labels: LabelledPoses, source: str) -> LabelledPoses:
     problems = time_problems(list(labels.timestamps))
     problems += [f"track {shown(name)}: {problem}" for name in labels.vessels if (problem := name_problem(name))]
     problems += [
-        f"sequence '{each.name}': steps must ascend within the timestamps, one for each of its images"
-        for each in labels.sequences
-        if len(each.steps) != len(each.images)
-        or (np.diff(each.steps, prepend=-1, append=len(labels.timestamps)) <= 0).any()
+        f"sequence '{sequence.name}': steps must ascend within the timestamps, one for each of its images"
+        for sequence in labels.sequences
+        if len(sequence.steps) != len(sequence.images)
+        or (np.diff(sequence.steps, prepend=-1, append=len(labels.timestamps)) <= 0).any()
     ]
     if not labels.sequences:
         raise InputError(source, ["sequences: there are none"])
-    places = np.concatenate([each.steps * len(labels.sequences) + k for k, each in enumerate(labels.sequences)])
-    sizes_px = np.array([each.image_size_px * 2 for each in labels.sequences])
+    places = np.concatenate([sequence.steps * len(labels.sequences) + k for k, sequence in enumerate(labels.sequences)])
+    sizes_px = np.array([sequence.image_size_px * 2 for sequence in labels.sequences])
     for name in _PARTS:
         if (rows := getattr(labels, name)) is None:
             continue
@@ -226,8 +226,8 @@ def _checked(labels: LabelledPoses, source: str) -> LabelledPoses:
     key = (boxes.step * len(labels.sequences) + boxes.camera) * max(len(labels.vessels), 1) + boxes.vessel
     if (np.diff(key) <= 0).any():
         problems.append("boxes: rows must be in order of step, camera and vessel, one for each vessel in an image")
-    found = labels.detections
-    if found is not None and not ((found.row >= NOBODY) & (found.row < len(boxes))).all():
+    detections = labels.detections
+    if detections is not None and not ((detections.row >= NOBODY) & (detections.row < len(boxes))).all():
         problems.append("detections: a row of a box that the file does not have")
     if problems:
         raise InputError(source, problems)

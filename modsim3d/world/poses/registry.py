@@ -141,8 +141,8 @@ def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
     given = {name: keys for name, keys in poses.items() if keys is not None}
     if len(given) != 1:
         got = f" (got {', '.join(given)})" if given else ""
-        known = ", ".join((*SOURCES, *plugin_names(POSE_SOURCES)))
-        raise InputError(scene, [f"poses: give exactly one of {known}{got}"])
+        names = ", ".join((*SOURCES, *plugin_names(POSE_SOURCES)))
+        raise InputError(scene, [f"poses: give exactly one of {names}{got}"])
     ((name, keys),) = given.items()
     model, plugin = _model(name)
     try:
@@ -158,11 +158,11 @@ def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
 
 def _model(name: str) -> tuple[type[BaseModel], Plugin | None]:
     """The class that reads a source's section: a pydantic model that is also `SourceKeys`."""
-    found: object = SOURCES.get(name)
+    model: object = SOURCES.get(name)
     plugin = None
-    if found is None:
-        found, plugin = load_plugin(POSE_SOURCES, name, f"poses.{name}", SOURCES)
-    if isinstance(found, type) and issubclass(found, BaseModel) and issubclass(found, SourceKeys):
-        return found, plugin
+    if model is None:
+        model, plugin = load_plugin(POSE_SOURCES, name, f"poses.{name}", SOURCES)
+    if isinstance(model, type) and issubclass(model, BaseModel) and issubclass(model, SourceKeys):
+        return model, plugin
     wanted = "a class made from modsim3d.plugins.PosesByTime, or from SourceKeys and a pydantic model"
-    raise InputError(f"poses.{name}", [f"{plugin} must be {wanted}, not {found!r}"])
+    raise InputError(f"poses.{name}", [f"{plugin} must be {wanted}, not {model!r}"])

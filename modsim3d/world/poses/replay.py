@@ -148,8 +148,8 @@ def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Ma
         if name not in columns:
             problems.append(f"{join_path(timestamp, name)}: no vessel '{name}' ({nearest(name, columns)})")
             continue
-        if found := _pose_problems(entry):
-            problems += [join_path(timestamp, name) + problem for problem in found]
+        if faults := _pose_problems(entry):
+            problems += [join_path(timestamp, name) + problem for problem in faults]
             continue
         column = columns[name]
         poses.present[step, column] = True
@@ -182,10 +182,10 @@ def _pose_problems(entry: Any) -> list[str]:
     if not isinstance(entry, dict):
         return [f": a mapping with center_position_m and heading_rad is needed (got {shown(entry)})"]
     if entry.keys() != _KEYS:
-        known = sorted(_KEYS)
-        unknown = [key for key in entry if key not in known][:MAX_PROBLEMS]
-        problems = [f".{key}: unknown key ({nearest_key(key, known)})" for key in unknown]
-        return problems + [f".{key}: missing" for key in known if key not in entry]
+        keys = sorted(_KEYS)
+        unknown = [key for key in entry if key not in keys][:MAX_PROBLEMS]
+        problems = [f".{key}: unknown key ({nearest_key(key, keys)})" for key in unknown]
+        return problems + [f".{key}: missing" for key in keys if key not in entry]
     problems = []
     position, heading = entry["center_position_m"], entry["heading_rad"]
     if not isinstance(position, list) or len(position) != 3 or not all(map(_finite, position)):

@@ -30,12 +30,12 @@ def rectangle_gaps(
     cosine = np.abs(axes[:, 0] * other_axes[:, 0] + axes[:, 1] * other_axes[:, 1])
     sine = np.abs(axes[:, 0] * other_axes[:, 1] - axes[:, 1] * other_axes[:, 0])
     gaps = []
-    for axis, mine, theirs in ((axes, half, other_half), (other_axes, other_half, half)):
+    for axis, mine, opposite in ((axes, half, other_half), (other_axes, other_half, half)):
         ahead = np.abs(offset[..., 0] * axis[:, 0] + offset[..., 1] * axis[:, 1])
         abeam = np.abs(offset[..., 0] * axis[:, 1] - offset[..., 1] * axis[:, 0])
         gaps += [
-            ahead - mine[0] - cosine * theirs[0] - sine * theirs[1],
-            abeam - mine[1] - sine * theirs[0] - cosine * theirs[1],
+            ahead - mine[0] - cosine * opposite[0] - sine * opposite[1],
+            abeam - mine[1] - sine * opposite[0] - cosine * opposite[1],
         ]
     widest: Array = np.maximum.reduce(gaps)
     return widest
@@ -53,12 +53,12 @@ def least_gaps(sweep: Sweep, other: Sweep, interval_s: float, within_m: float) -
     axes, other_axes = sweep.axes[rows, steps], other.axes[0, steps]
     drift = other_axes * other.speeds_m_s[0] - axes * sweep.speeds_m_s[rows, None]
     offsets = other.places_m[0, steps] - sweep.places_m[rows, steps] + (BETWEEN * interval_s)[:, None, None] * drift
-    found = rectangle_gaps(offsets, axes, sweep.hull.half_m, other_axes, other.hull.half_m).min(axis=0)
-    found -= speed[rows] / 8
-    found[found > within_m] = np.inf
-    order = np.lexsort((steps, found, rows))
+    gaps = rectangle_gaps(offsets, axes, sweep.hull.half_m, other_axes, other.hull.half_m).min(axis=0)
+    gaps -= speed[rows] / 8
+    gaps[gaps > within_m] = np.inf
+    order = np.lexsort((steps, gaps, rows))
     first = order[np.unique(rows[order], return_index=True)[1]]
-    least[rows[first]], step[rows[first]] = found[first], steps[first]
+    least[rows[first]], step[rows[first]] = gaps[first], steps[first]
     return least, step
 
 
@@ -88,15 +88,15 @@ class Land:
     @classmethod
     def of(cls, obstacles: Sequence[Obstacle]) -> Land:
         """The footprints of all solids that reach above the sea."""
-        found: dict[float, list[shapely.Geometry]] = {}
+        areas: dict[float, list[shapely.Geometry]] = {}
         for obstacle in obstacles:
             for solid, vertices in obstacle.solids:
                 if vertices[:, 2].max() > 0:
                     base = max(float(vertices[:, 2].min()), 0.0)
-                    found.setdefault(base, []).append(solid_footprint(solid, vertices))
+                    areas.setdefault(base, []).append(solid_footprint(solid, vertices))
         levels, so_far = [], shapely.Polygon()
-        for base in sorted(found):
-            so_far = union_of([so_far, *found[base]])
+        for base in sorted(areas):
+            so_far = union_of([so_far, *areas[base]])
             shapely.prepare(so_far)
             levels.append((base, so_far))
         return cls(tuple(levels))
@@ -112,13 +112,13 @@ class Land:
         if area.is_empty:
             return least
         for row, (places, axes) in enumerate(zip(sweep.places_m, sweep.axes, strict=True)):
-            there = sweep.present[row]
+            present = sweep.present[row]
             margin = float(sweep.speeds_m_s[row]) * SWING * interval_s / 2
             limit = sweep.hull.reach_m + within_m + margin
-            line = np.repeat(places[there], 2, axis=0)  # twice, so that one place alone is a line too
-            if not there.any() or shapely.distance(shapely.LineString(line), area) > limit:
+            line = np.repeat(places[present], 2, axis=0)  # twice, so that one place alone is a line too
+            if not present.any() or shapely.distance(shapely.LineString(line), area) > limit:
                 continue
-            close = np.flatnonzero(there)[shapely.dwithin(shapely.points(places[there]), area, limit)]
+            close = np.flatnonzero(present)[shapely.dwithin(shapely.points(places[present]), area, limit)]
             hulls = shapely.polygons(corners(places[close], axes[close], sweep.hull.half_m))
             least[row] = shapely.distance(hulls, area).min(initial=np.inf) - margin
         least[least > within_m] = np.inf
@@ -253,9 +253,9 @@ class Waters:
             return first
         best, least = verdict.track, verdict.crowding
         for tracks in changes(verdict.conflict_s):
-            found = self.judge(tracks)
-            if found.track is not None and found.track.cost + found.crowding < least:
-                best, least = found.track, found.track.cost + found.crowding
+            trial = self.judge(tracks)
+            if trial.track is not None and trial.track.cost + trial.crowding < least:
+                best, least = trial.track, trial.track.cost + trial.crowding
             if least <= SMALL_CHANGE:
                 break
         return best

@@ -69,11 +69,11 @@ def draw_encounter(chart: Chart, name: str, keys: EncounterKeys) -> Iterator[Cra
     """The vessels of an encounter."""
     own = keys.own or next(iter(chart.own))
     for ordinal in range(1, keys.count + 1):
-        found = _draw(chart, name, keys, ordinal, chart.own[own])
-        if found is None:
+        pair = _draw(chart, name, keys, ordinal, chart.own[own])
+        if pair is None:
             yield from chart.accept(None, f"encounters.{name}")
             continue
-        track, asked = found
+        track, asked = pair
         approach = Approach(asked.kind, own, asked.closest_m, asked.time_s)
         label = name if keys.count == 1 else f"{name}_{ordinal}"
         yield from chart.accept(Craft(label, f"encounters.{name}", track, asked=approach), f"encounters.{name}")

@@ -40,8 +40,8 @@ def craft_on_average(chart: Chart, area: LeisureKeys) -> float:
 def draw_area(chart: Chart, name: str, area: LeisureKeys) -> Iterator[Craft]:
     """The craft of an area."""
     section = f"leisure.{name}"
-    found = lanes.arrivals(chart.streams, name, craft_on_average(chart, area))
-    for ordinal in range(1, len(found) + 1):
+    arrivals = lanes.arrivals(chart.streams, name, craft_on_average(chart, area))
+    for ordinal in range(1, len(arrivals) + 1):
         track = _draw_craft(chart, name, area, ordinal)
         craft = None if track is None else Craft(f"{name}_{ordinal}", section, track)
         yield from chart.accept(craft, section)
@@ -134,8 +134,8 @@ def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
     sweep, least = Sweep.of([track], waters.times_s, waters.interval_s), f"clearance_m ({waters.clearance_m:g} m)"
     if waters.land.gaps(sweep, waters.interval_s, waters.clearance_m)[0] < waters.clearance_m:
         problems.append(f"own.{name}.waypoints_m: leads closer to an obstacle than {least}")
-    for other, theirs in zip(chart.own, waters.fleet, strict=True):
-        gap, step = least_gaps(sweep, theirs, waters.interval_s, waters.clearance_m)
+    for other, other_sweep in zip(chart.own, waters.fleet, strict=True):
+        gap, step = least_gaps(sweep, other_sweep, waters.interval_s, waters.clearance_m)
         if gap[0] < waters.clearance_m:
             problems.append(f"own.{name}: comes closer to '{other}' than {least} at {waters.times_s[step[0]]:.0f} s")
     return problems
@@ -256,11 +256,11 @@ class TrafficKeys(SourceKeys, TrafficSections):
         for column, vessel in enumerate(request.vessels):
             if (track := tracks.get(vessel.name)) is None:
                 continue
-            there = track.present(times_s)
-            places, headings = track.at(times_s[there])
-            poses.present[there, column] = True
-            poses.positions_m[there, column, :2] = on_grid(places)
-            poses.headings_rad[there, column] = on_grid(headings)
+            present = track.present(times_s)
+            places, headings = track.at(times_s[present])
+            poses.present[present, column] = True
+            poses.positions_m[present, column, :2] = on_grid(places)
+            poses.headings_rad[present, column] = on_grid(headings)
         return DrawnTraffic(generated_timestamps(steps, interval), poses, drive.craft, drive.left_out)
 
     def _entry(self, craft: Craft) -> dict[str, object]:

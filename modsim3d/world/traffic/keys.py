@@ -176,30 +176,30 @@ class TrafficSections(Strict):
 
     def problems(self) -> list[str]:
         """Problems between the keys, each with its path below `poses.traffic`."""
-        found: list[str] = []
+        problems: list[str] = []
         names: dict[str, str] = {}
         for path, section in self.drawing.items():
             name = path.partition(".")[2]
             if name in names:
-                found.append(f"{path}: {names[name]} has this name too, and vessels are named by it")
+                problems.append(f"{path}: {names[name]} has this name too, and vessels are named by it")
             names.setdefault(name, path)
             for key, entries in (("kinds", section.kinds), ("speed_m_s", section.speed_m_s)):
-                found += [
+                problems += [
                     f"{path}.{key}.{kind}: no such kind ({nearest(kind, self.kinds)})"
                     for kind in entries
                     if kind not in self.kinds
                 ]
         for name, meeting in self.encounters.items():
             if not self.own:
-                found.append(f"encounters.{name}: with whom? `own` has no vessel")
+                problems.append(f"encounters.{name}: with whom? `own` has no vessel")
             elif meeting.own is not None and meeting.own not in self.own:
                 hint = nearest(meeting.own, self.own)
-                found.append(f"encounters.{name}.own: no vessel '{meeting.own}' in `own` ({hint})")
+                problems.append(f"encounters.{name}.own: no vessel '{meeting.own}' in `own` ({hint})")
         if isinstance(self.labels, Mapping):
-            known = {kind.label for kind in self.kinds.values()}
-            found += [
-                f"labels.{label}: no kind has this label ({nearest(label, known)})"
+            kind_labels = {kind.label for kind in self.kinds.values()}
+            problems += [
+                f"labels.{label}: no kind has this label ({nearest(label, kind_labels)})"
                 for label in self.labels
-                if label not in known
+                if label not in kind_labels
             ]
-        return found
+        return problems

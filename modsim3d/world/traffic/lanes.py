@@ -224,11 +224,11 @@ def _changes(drawn: _Vessel, conflict_s: float | None) -> Iterator[Sequence[Trac
 
 
 def _sidesteps(drawn: _Vessel, track: Track, conflict_m: float) -> list[Track]:
-    found = [
+    tracks = [
         drawn.sidestep(track, aside, conflict_m + 2 * aside * ahead)
         for aside, ahead in product(SIDESTEPS_M, (-1.0, 0.0, 1.0))
     ]
-    return [track for track in found if track is not None]
+    return [track for track in tracks if track is not None]
 
 
 def _later(track: Track, delay_s: float) -> Track:

@@ -127,10 +127,10 @@ def write(request: ExportRequest, folder: Path) -> None:
     run, own = request.run, own_ship(request)
     run.check_has_steps()
     carried = stations(run.scene, own)
-    found = sorted(reports(run.scene, run.steps, carried))
+    arrivals = sorted(reports(run.scene, run.steps, carried))
     text = "".join(
-        lines(each.message, each.own, "AB"[each.number % 2], number % 10, each.time_s)
-        for number, each in enumerate(found)
+        lines(report.message, report.own, "AB"[report.number % 2], number % 10, report.time_s)
+        for number, report in enumerate(arrivals)
     )
     write_files({folder / LOG: text, folder / TRUTH: truth_table(run.scene, carried)})
 
@@ -140,12 +140,12 @@ def own_ship(request: ExportRequest) -> tuple[int, ...]:
     request.run.scene.check_world("a log of AIS")
     names = request.run.scene.vessel_names
     carriers = {request.run.scene.cameras[index].mount.vessel for index in request.cameras} - {None}
-    found = tuple(index for index, name in enumerate(names) if name in carriers)
-    if len(found) > 1:
-        vessels = " and ".join(f"'{names[index]}'" for index in found)
+    ships = tuple(index for index, name in enumerate(names) if name in carriers)
+    if len(ships) > 1:
+        vessels = " and ".join(f"'{names[index]}'" for index in ships)
         remedy = "a log of AIS has one own ship: choose the cameras of one of them with --camera"
         raise ModsimError(f"{request.run.folder}: the cameras are on board {vessels}, and {remedy}")
-    return found
+    return ships
 
 
 def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
@@ -164,10 +164,10 @@ def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
 def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[ReceivedReport]:
     """All reports that are received in the first steps of a scene, those of one station after another."""
     streams = Streams(scene.seed)
-    for station, found in zip(carried, sensors.stays(scene, steps, carried), strict=True):
-        seconds = int(found[-1].times_s[-1]) + 1 if found else 0
+    for station, stays in zip(carried, sensors.stays(scene, steps, carried), strict=True):
+        seconds = int(stays[-1].times_s[-1]) + 1 if stays else 0
         sender = _Sender(scene, station, streams, Noise.of(station.name, streams, seconds))
-        for number, stay in enumerate(found):
+        for number, stay in enumerate(stays):
             yield from sender.reports(stay, number)
 
 
@@ -215,5 +215,5 @@ class _Sender:
         self._sent[kind] += count
         draws = self._streams.uniforms(Purpose.AIS_SLOT, station.name, str(kind), first=first, count=count)
         lost = 0.0 if station.own else self._scene.ais.drop_out
-        found = reporting.heard(schedule, stay.times_s, stay.end_s, lost, draws)
-        yield from zip(found.times_s.tolist(), found.rows.tolist(), (found.numbers + first).tolist(), strict=True)
+        batch = reporting.heard(schedule, stay.times_s, stay.end_s, lost, draws)
+        yield from zip(batch.times_s.tolist(), batch.rows.tolist(), (batch.numbers + first).tolist(), strict=True)

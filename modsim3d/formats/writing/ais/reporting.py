@@ -86,16 +86,16 @@ def due_times(times_s: Indices, intervals: Array, end_s: float, phase: float) ->
     interval is over at the beginning, from 0 to 1."""
     begins = np.flatnonzero(np.diff(intervals, prepend=np.nan) != 0)
     begin, interval = times_s[begins].astype(float).tolist(), intervals[begins].tolist()
-    found: list[float] = []
+    due_s: list[float] = []
     last, part = begin[0] - phase * interval[0], 0
     while True:
         due = max(last + interval[part], begin[part])
         if part + 1 < len(begin) and due >= begin[part + 1]:
             part += 1
         elif due > end_s:
-            return np.array(found)
+            return np.array(due_s)
         else:
-            found.append(due)
+            due_s.append(due)
             last = due
 
 
@@ -124,5 +124,5 @@ def heard(schedule: Schedule, times_s: Indices, end_s: float, lost: float, draws
     vessel leaves at `end_s`; `lost` is the share that is lost, `draws` are uniform numbers: (m, 2)."""
     sent = np.floor((schedule.due_s + (2 * draws[:, 0] - 1) * schedule.spread_s) / SLOT_S) * SLOT_S
     fix = np.floor(sent - AGE_S).astype(np.int64) - int(times_s[0])
-    there = (fix >= 0) & (fix < len(times_s)) & (sent <= end_s) & (draws[:, 1] >= lost)
-    return ReceivedReports(sent[there], fix[there], np.flatnonzero(there))
+    audible = (fix >= 0) & (fix < len(times_s)) & (sent <= end_s) & (draws[:, 1] >= lost)
+    return ReceivedReports(sent[audible], fix[audible], np.flatnonzero(audible))

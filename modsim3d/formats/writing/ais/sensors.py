@@ -58,7 +58,7 @@ class Station:
 
 def stations(scene: Scene, own: Collection[int]) -> tuple[Station, ...]:
     """The stations of a scene's vessels, in the order of the vessels; `own` are the indices of own ships."""
-    found = []
+    carriers = []
     numbers = mmsi_of([vessel.name for vessel in scene.vessels])
     for index, (vessel, mmsi) in enumerate(zip(scene.vessels, numbers, strict=True)):
         chosen, ship_type = usual(vessel, index in own)
@@ -66,8 +66,8 @@ def stations(scene: Scene, own: Collection[int]) -> tuple[Station, ...]:
         if chosen != NO_CLASS:
             sides, height_m = antenna_sides(vessel, chosen), vessel.air_draft_m / 2
             identity = (index, vessel.name, mmsi, chosen, ship_type, index in own)
-            found.append(Station(*identity, vessel.length_m, sides, height_m))
-    return tuple(found)
+            carriers.append(Station(*identity, vessel.length_m, sides, height_m))
+    return tuple(carriers)
 
 
 def usual(vessel: Vessel, own: bool) -> tuple[str, int]:
@@ -144,24 +144,24 @@ def stays(scene: Scene, steps: int, carried: Sequence[Station]) -> list[list[Sta
 
 def _antennas(scene: Scene, steps: int, carried: Sequence[Station]) -> list[tuple[Indices, Array]]:
     """For each station the steps at which its vessel is there, shape (m,), and w1, w2 and heading, shape (m, 3)."""
-    found: list[list[tuple[Indices, Array]]] = [[] for _ in carried]
+    tracks: list[list[tuple[Indices, Array]]] = [[] for _ in carried]
     for first in range(0, steps, BLOCK_STEPS) if carried else ():
         block = np.arange(first, min(first + BLOCK_STEPS, steps))
         moved = scene.motion.at(block)
-        for parts, station in zip(found, carried, strict=True):
+        for parts, station in zip(tracks, carried, strict=True):
             rows = np.flatnonzero(moved.poses.present[:, station.vessel])
             rotation = moved.world_R_vessel[rows, station.vessel]
             place = moved.poses.positions_m[rows, station.vessel] + rotation @ station.antenna_m
             heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
             parts.append((block[rows], np.column_stack([place[:, :2], heading])))
-    return [(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])) for parts in found]
+    return [(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])) for parts in tracks]
 
 
 def _stays_of(times_s: Array, present: Indices, track: Array) -> list[Stay]:
     breaks = np.flatnonzero(np.diff(present) > 1) + 1
     parts = zip(np.split(times_s[present], breaks), np.split(track, breaks), strict=True)
-    found = (_stay(times, rows) for times, rows in parts if len(times))
-    return [stay for stay in found if len(stay.times_s)]
+    visits = (_stay(times, rows) for times, rows in parts if len(times))
+    return [stay for stay in visits if len(stay.times_s)]
 
 
 def _stay(times_s: Array, track: Array) -> Stay:

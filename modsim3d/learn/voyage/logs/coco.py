@@ -35,21 +35,21 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
     results = content["annotations"] if isinstance(content, dict) else content
     if not isinstance(results, list):
         raise InputError(source, ["annotations: must be a list"])
-    scores = [(f"[{k}]", each.get("score")) for k, each in enumerate(results) if isinstance(each, dict)]
+    scores = [(f"[{k}]", result.get("score")) for k, result in enumerate(results) if isinstance(result, dict)]
     scored = any(value is not None for _, value in scores)
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score") if scored else None
     rows = LogRows(source, problems, confidences)
     frame_of, clock, notes = _frames(truth, where, options, rows)
     # Each image has a frame, in their order.
-    names = image_names(results, frame_of, [str(each.get("file_name", each["id"])) for each in truth["images"]])
+    names = image_names(results, frame_of, [str(image.get("file_name", image["id"])) for image in truth["images"]])
     if names.image_ids_are_files:
         notes.append(f"{source}: its image_id are taken for the names of the images' files")
     if names.doubt and images is not None:  # annotations beside their images have IDs
         notes.append(f"{source}: {names.doubt}")
-    known = KnownNames.of_results(results, names, categories, options.category_offset, problems)
+    lookup = KnownNames.of_results(results, names, categories, options.category_offset, problems)
     labels = [name for name, _ in categories.values()]
     for index, entry in enumerate(results):
-        if (place := known.place(entry, f"[{index}]", problems)) is not None:
+        if (place := lookup.place(entry, f"[{index}]", problems)) is not None:
             rows.add(place.image, f"[{index}]", place.box_px, labels[place.label], entry.get("score"))
     numbers = {name: k for k, name in enumerate(labels)}
     return rows.log(clock, f"the images of {(options.images or path).name}", numbers, notes)
@@ -133,7 +133,7 @@ def _wrong_time(entry: Mapping[str, Any]) -> str:
 def _cameras(images: Sequence[Any]) -> list[str | None]:
     """The camera of each image: its `camera`, or its sequence if that is a text or there are several."""
     sequences = [entry.get("sequence", entry.get("video_id")) for entry in images]
-    several = len({str(each) for each in sequences}) > 1
+    several = len({str(name) for name in sequences}) > 1
     names = []
     for entry, sequence in zip(images, sequences, strict=True):
         camera = entry.get("camera", sequence if several or isinstance(sequence, str) else None)
@@ -180,8 +180,8 @@ def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions)
         if math.isnan(time_s) or not isinstance(entries, dict):
             problems.add(f"{text}: must be a time with its detections, as in {_THESIS} (got {shown(entries)})")
             continue
-        found = [_thesis(entry, f"{text}.{name}", problems) for name, entry in entries.items()]
-        frames.append((text, None, time_s, utc, [each for each in found if each is not None]))
+        detections = [_thesis(entry, f"{text}.{name}", problems) for name, entry in entries.items()]
+        frames.append((text, None, time_s, utc, [detection for detection in detections if detection is not None]))
     return _log(source, frames, Clock.STAMP, "its times", problems, options, CENTRE)
 
 
@@ -197,8 +197,8 @@ def _line(content: Any, where: str, problems: Problems) -> _Frame | None:
     if math.isnan(time_s) or not (camera is None or isinstance(camera, str)):
         problems.add(f"{where}: time_s must be seconds, utc a time, and camera a name")
         return None
-    found = [_detection(entry, f"{where}: detections[{k}]", problems) for k, entry in enumerate(entries)]
-    return where, camera, time_s, utc, [each for each in found if each is not None]
+    detections = [_detection(entry, f"{where}: detections[{k}]", problems) for k, entry in enumerate(entries)]
+    return where, camera, time_s, utc, [detection for detection in detections if detection is not None]
 
 
 def _detection(entry: Any, where: str, problems: Problems) -> tuple[str, list[float], str | None, object] | None:
@@ -230,14 +230,14 @@ def _log(
     utc = all_utc([of_utc for *_, of_utc, _ in frames])
     if utc is None:
         raise InputError(source, [MIXED])
-    scores = [(where, score) for *_, found in frames for where, _, _, score in found if score is not None]
+    scores = [(where, score) for *_, detections in frames for where, _, _, score in detections if score is not None]
     confidences = Confidences.of(scores, options.confidence_scale, problems) if scores else None
     rows = LogRows(source, problems, confidences, form)
-    for where, camera, time_s, _, found in frames:
+    for where, camera, time_s, _, detections in frames:
         if rows.has(camera, time_s):
             problems.add(f"{where}: has the time of another frame{f' of {camera}' if camera else ''}, {time_s:.12g}")
             continue
         number = rows.frame(camera, time_s)
-        for place, box, label, confidence in found:
+        for place, box, label, confidence in detections:
             rows.add(number, place, box, label, confidence)
     return rows.log(Clock.UTC if utc else clock, origin)

@@ -183,7 +183,7 @@ class LogRows:
         if labels is not None:
             order = sorted(labels, key=lambda name: labels[name])
             place = {name: k for k, name in enumerate(order)}
-            number = np.array([place[names[each]] for each in number.tolist()], dtype=np.int64)
+            number = np.array([place[names[label]] for label in number.tolist()], dtype=np.int64)
             names = order
         cameras = tuple(dict.fromkeys(camera for camera, _ in self._frames))
         index = {name: k for k, name in enumerate(cameras)}

@@ -41,7 +41,7 @@ def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
     if rate_hz is None:
         problem = "the frame rate is not known: give --frame-rate, or put seqinfo.ini beside or above the file"
         raise InputError(source, [problem])
-    lines, said = plain_lines(number_lines(path, "detections", ",", 7, problems), path.name, problems)
+    lines, notes = plain_lines(number_lines(path, "detections", ",", 7, problems), path.name, problems)
     classes = any(len(numbers) > 7 and numbers[7] >= 1 for _, numbers in lines)
     scores = ((where, numbers[6]) for where, numbers in lines)
     rows = LogRows(source, problems, Confidences.of(scores, options.confidence_scale, problems), MOT)
@@ -55,9 +55,9 @@ def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
         x, y, width, height = numbers[2:6]
         label = _label(int(numbers[7]), options.labels) if classes and len(numbers) > 7 else None
         rows.add(frames[int(numbers[0]) - 1], where, [x - 1, y - 1, width, height], label, numbers[6])
-    known = "seqLength in seqinfo.ini" if info.frames >= last else "the frame numbers up to the last with a detection"
+    basis = "seqLength in seqinfo.ini" if info.frames >= last else "the frame numbers up to the last with a detection"
     at = "; its first frame is taken to be the scene's first step (--log-start gives another time)"
-    return rows.log(Clock.STEP, f"{known}, {rate_hz:g} Hz{'' if options.start else at}", notes=said)
+    return rows.log(Clock.STEP, f"{basis}, {rate_hz:g} Hz{'' if options.start else at}", notes=notes)
 
 
 def _label(number: int, labels: tuple[str, ...]) -> str:
@@ -71,13 +71,13 @@ def read_run_log(folder: Path) -> DetectionLog:
     """The log of all cameras of a run; nothing of its truth is read. Raises ModsimError if it is no run."""
     run, source = opened_run(folder), f"detections {folder}"
     rows = LogRows(source, Problems(source), Confidences("confidence", 0, 1, True, ""))
-    for each in camera_sequences(run, tuple(range(len(run.scene.cameras)))):
-        frames = [rows.frame(each.camera.name, time_s, each.size_px) for time_s in each.times_s.tolist()]
-        found, labels = each.detections, run.scene.detector.labels
-        sides = np.column_stack([found.boxes_px[:, :2], found.boxes_px[:, 2:] - found.boxes_px[:, :2]]).tolist()
-        columns = found.frame.tolist(), sides, found.label.tolist(), found.confidence.tolist()
+    for sequence in camera_sequences(run, tuple(range(len(run.scene.cameras)))):
+        frames = [rows.frame(sequence.camera.name, time_s, sequence.size_px) for time_s in sequence.times_s.tolist()]
+        table, labels = sequence.detections, run.scene.detector.labels
+        sides = np.column_stack([table.boxes_px[:, :2], table.boxes_px[:, 2:] - table.boxes_px[:, :2]]).tolist()
+        columns = table.frame.tolist(), sides, table.label.tolist(), table.confidence.tolist()
         for row, (frame, box, label, score) in enumerate(zip(*columns, strict=True)):
-            rows.add(frames[frame], f"{each.camera.name} row {row}", box, labels[label], score)
+            rows.add(frames[frame], f"{sequence.camera.name} row {row}", box, labels[label], score)
     return rows.log(Clock.STEP, "its table of frames")
 
 
@@ -91,7 +91,7 @@ def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     messages = list(read_bag(path, "detections", partial(_box_topics, source), _message))
     problems = Problems(source, options.skip_bad)
     topics = {_camera(topic): topic for topic, _, _ in messages}
-    every = [(topic, stamp, k, found) for topic, stamp, message in messages for k, found in enumerate(message)]
+    every = [(topic, stamp, k, entry) for topic, stamp, message in messages for k, entry in enumerate(message)]
     scores = [(f"{topic} at {stamp / NANO:.12g} s, [{k}]", score) for topic, stamp, k, (_, _, score, _) in every]
     given = any(score is not None for _, score in scores)
     confidences = Confidences.of(scores, options.confidence_scale, problems) if given else None
@@ -141,7 +141,7 @@ def _box_topics(source: str, topics: Mapping[str, str]) -> list[str]:
 
 def _message(message: BagMessage) -> tuple[str, int, list[Found]]:
     """Topic, stamp in nanoseconds and detections of a message."""
-    return message.topic, message.stamp_ns, [_detection(each) for each in message.content.detections]
+    return message.topic, message.stamp_ns, [_detection(detection) for detection in message.content.detections]
 
 
 def _detection(detection: Any) -> Found:
@@ -149,8 +149,8 @@ def _detection(detection: Any) -> Found:
     centre = getattr(box.center, "position", box.center)  # vision_msgs 2 and 3 have x and y in the pose itself
     sides = [centre.x - box.size_x / 2, centre.y - box.size_y / 2, box.size_x, box.size_y]
     turn_rad = float(getattr(box.center, "theta", 0.0))
-    kinds = [getattr(each, "hypothesis", each) for each in detection.results]  # vision_msgs 2 has it in the result
-    best = max(kinds, key=lambda each: float(each.score), default=None)
+    kinds = [getattr(kind, "hypothesis", kind) for kind in detection.results]  # vision_msgs 2 has it in the result
+    best = max(kinds, key=lambda kind: float(kind.score), default=None)
     if best is None:
         return sides, None, None, turn_rad
     label = best.class_id if hasattr(best, "class_id") else best.id  # as vision_msgs 2 calls it
@@ -248,12 +248,12 @@ def filled(time_s: Array, rate_hz: float | None, source: str) -> EmptyFrames:
     off = np.abs(gaps / interval - count) > _OFF
     if off.mean() > (0 if rate_hz else _MAX_OFF):
         first = int(np.flatnonzero(off)[0])
-        found = f"frames {gaps[first]:g} s apart after {time_s[first]:.12g} s"
+        gap = f"frames {gaps[first]:g} s apart after {time_s[first]:.12g} s"
         if rate_hz:
-            problem = f"{found} do not fit --frame-rate {rate_hz:g}, which is a frame every {interval:g} s"
+            problem = f"{gap} do not fit --frame-rate {rate_hz:g}, which is a frame every {interval:g} s"
         else:
             problem = (
-                f"its frames without detections cannot be known: the usual gap is {interval:g} s, with {found}; "
+                f"its frames without detections cannot be known: the usual gap is {interval:g} s, with {gap}; "
                 "give --frame-rate, or a row with empty cells for each frame without detections"
             )
         raise InputError(source, [problem])
@@ -366,7 +366,7 @@ def _got(table: TextTable) -> str:
 
 
 def _add_frames(
-    path: Path, rows: LogRows, names: Sequence[str | None], time_s: Array, clock: Clock, said: bool, options: LogOptions
+    path: Path, rows: LogRows, names: Sequence[str | None], time_s: Array, clock: Clock, void: bool, options: LogOptions
 ) -> str:
     """Add the frames without detections to the rows, and say how they are known."""
     beside = path.with_name(path.name.replace("detections", "frames", 1))
@@ -382,7 +382,7 @@ def _add_frames(
         for camera, time in zip(_texts(frames, "camera"), times.tolist(), strict=True):
             rows.frame(camera, time)
         return f"the rows of {beside.name}"
-    if said and options.frame_rate_hz is None:
+    if void and options.frame_rate_hz is None:
         return "its rows, some of which have empty boxes"
     of_camera = np.array([camera or "" for camera in names], dtype=object)
     said_of = []

@@ -88,10 +88,10 @@ def rates_of(
     weights = resampling.weights
     rates = []
     for index, name in enumerate(states):
-        ours = state_of == index
-        every = ours[weighing.image]
+        in_state = state_of == index
+        every = in_state[weighing.image]
         chosen = every & weighing.tells
-        whole, marked = weights[:, ours].sum(axis=1), weights[:, ours & weighing.empty].sum(axis=1)
+        whole, marked = weights[:, in_state].sum(axis=1), weights[:, in_state & weighing.empty].sum(axis=1)
         image, duration = weighing.image[chosen], weighing.duration[chosen]
         found_in = resampling.counts(image, 2 * duration + weighing.empty[image], (weighing.lasting.shape[1], 2))
         seen, in_empty = found_in.sum(axis=2), found_in[:, :, 1]
@@ -106,7 +106,7 @@ def rates_of(
         rates.append(
             StateRates(
                 state=name,
-                images=int(ours.sum()),
+                images=int(in_state.sum()),
                 unmatched=int(every.sum()),
                 upper=rate(most),
                 lower=rate(seen[:, ~weighing.perhaps].sum(axis=1)),
@@ -114,7 +114,7 @@ def rates_of(
                 empty=rate(in_empty.sum(axis=1), marked) if marked[0] > 0 else None,
                 vessel_share=Column(share, "fraction", np.array(telling[0])),
                 kept=rate(kept.sum(axis=1)),
-                units=resampling.units(ours),
+                units=resampling.units(in_state),
             )
         )
     return tuple(rates)
@@ -151,17 +151,17 @@ class TimeSpan:
 def parse_stretches(text: str, start_s: float | None) -> tuple[TimeSpan, ...]:
     """Stretches from a text such as `120-300,900-1000`, or UTC times with a slash, where the scene's Unix `start_s` is
     not None. Raises InputError if a part has another form, ends before it begins, or is in UTC without a start."""
-    found = [_stretch(part.strip(), start_s) for part in text.split(",")]
-    if problems := [each for each in found if isinstance(each, str)]:
+    parts = [_stretch(part.strip(), start_s) for part in text.split(",")]
+    if problems := [part for part in parts if isinstance(part, str)]:
         raise InputError("--empty", problems)
-    return tuple(each for each in found if isinstance(each, TimeSpan))
+    return tuple(part for part in parts if isinstance(part, TimeSpan))
 
 
 def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
     """Mask of the times (n,) that lie in a stretch, its ends included, shape (n,)."""
     inside: Mask = np.zeros(len(time_s), dtype=bool)
-    for each in stretches:
-        inside |= (time_s >= each.first_s - 1e-9) & (time_s <= each.last_s + 1e-9)
+    for stretch in stretches:
+        inside |= (time_s >= stretch.first_s - 1e-9) & (time_s <= stretch.last_s + 1e-9)
     return inside
 
 
@@ -176,14 +176,14 @@ def check_stretches(stretches: tuple[TimeSpan, ...], time_s: Array, counts: Mask
 
 def _stretch(part: str, start_s: float | None) -> TimeSpan | str:
     seconds = _SECONDS.fullmatch(part)
-    ends = [float(each) for each in seconds.groups()] if seconds else [utc_s(each) for each in part.split("/")]
-    if len(ends) != 2 or any(math.isnan(each) for each in ends):
+    ends = [float(text) for text in seconds.groups()] if seconds else [utc_s(text) for text in part.split("/")]
+    if len(ends) != 2 or any(math.isnan(end) for end in ends):
         return f"{_FORM} (got {shown(part)})"
     utc = not seconds or min(ends) >= MIN_UNIX_S
     if utc and start_s is None:
         return f"{part}: is in UTC, and the scene does not say when it starts: give seconds since its first step"
     zero = start_s if utc and start_s is not None else 0.0
-    first_s, last_s = (each - zero for each in ends)
+    first_s, last_s = (end - zero for end in ends)
     return TimeSpan(first_s, last_s, zero if utc else None) if first_s < last_s else f"{part}: must end after it begins"
 
 
@@ -213,10 +213,10 @@ class CrossingTracks:
             rows = rows[np.argsort(links.time_s[rows])]
             seen_s, seen_px = links.time_s[rows], labelled.results.boxes_px[links.rows[rows]]
             same = images.sequence == images.sequence[links.image[rows[0]]]
-            there = np.flatnonzero(same & (images.time_s >= seen_s[0]) & (images.time_s <= seen_s[-1]))
-            image.append(there)
-            number.append(np.full(len(there), tracklet))
-            boxes_px.append(np.column_stack([np.interp(images.time_s[there], seen_s, edge) for edge in seen_px.T]))
+            frames = np.flatnonzero(same & (images.time_s >= seen_s[0]) & (images.time_s <= seen_s[-1]))
+            image.append(frames)
+            number.append(np.full(len(frames), tracklet))
+            boxes_px.append(np.column_stack([np.interp(images.time_s[frames], seen_s, edge) for edge in seen_px.T]))
         order = np.argsort(np.concatenate(image), kind="stable")
         return cls(np.concatenate(image)[order], np.concatenate(boxes_px)[order], np.concatenate(number)[order])
 
@@ -231,29 +231,29 @@ class Crossings:
 
 def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, matched: Matching) -> Crossings:
     """Known vessels to whose box a vessel without a transponder comes close; detections about them and at borders."""
-    known, results, number = labelled.annotations, labelled.results, len(labelled.images)
+    truth, results, number = labelled.annotations, labelled.results, len(labelled.images)
     rows, places = _meetings(tracks, labelled, matched.rule)
-    met, beside = np.zeros(len(known), dtype=bool), np.zeros(len(tracks.image), dtype=bool)
+    met, beside = np.zeros(len(truth), dtype=bool), np.zeros(len(tracks.image), dtype=bool)
     met[rows] = beside[places] = True
-    found = np.append(met, False)[matched.annotation]
+    nearby = np.append(met, False)[matched.annotation]
     passing = tracks.image[beside], tracks.boxes_px[beside]
-    for there_image, there_px in ((known.image[met], known.boxes_px[met]), passing):
+    for there_image, there_px in ((truth.image[met], truth.boxes_px[met]), passing):
         for row, place in image_pairs(results.image, there_image, number):
             boxes = results.boxes_px[row]
             inside = intersections(boxes, there_px[place]) >= _MIN_INSIDE * areas(boxes)
-            found[row[inside & (matched.annotation[row] < 0)]] = True
-    found[links.rows[at_the_border(links, labelled)]] = True
-    return Crossings(met & ~known.ignored, found)
+            nearby[row[inside & (matched.annotation[row] < 0)]] = True
+    nearby[links.rows[at_the_border(links, labelled)]] = True
+    return Crossings(met & ~truth.ignored, nearby)
 
 
 def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tuple[Indices, Indices]:
     """Annotations and places of a track that touch, or whose detection may match the other, (n,), not for most of the
     life of the latter: then the truth may be off."""
-    known, none = labelled.annotations, np.empty(0, dtype=np.int64)
+    truth, none = labelled.annotations, np.empty(0, dtype=np.int64)
     reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
     met: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
-    for row, place in image_pairs(known.image, tracks.image, len(labelled.images)):
-        boxes, passing = known.boxes_px[row], tracks.boxes_px[place]
+    for row, place in image_pairs(truth.image, tracks.image, len(labelled.images)):
+        boxes, passing = truth.boxes_px[row], tracks.boxes_px[place]
         margin = np.maximum(_NEAR * (boxes[:, 3:] - boxes[:, 1:2]), _MIN_NEAR_PX)
         overlap = (boxes[:, :2] - margin < passing[:, 2:]) & (passing[:, :2] < boxes[:, 2:] + margin)
         touch = np.asarray(overlap.all(axis=1))
@@ -261,7 +261,7 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
         met.append((row[meet], place[meet], touch[meet]))
     rows, places, touch = (np.concatenate(columns) for columns in zip(*met, strict=True))
     # How long each thing is with each known vessel: in touch, and near enough to be matched with it.
-    pairs = np.column_stack([tracks.tracklet[places], known.identity[rows]])
+    pairs = np.column_stack([tracks.tracklet[places], truth.identity[rows]])
     couples, couple = np.unique(pairs, axis=0, return_inverse=True)
     couple = couple.ravel()
     most = _PASSES * np.bincount(tracks.tracklet, minlength=1)[couples[:, 0]]
@@ -273,25 +273,25 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
 
 def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
     """Linked detections, as places, of known vessels that come or leave, some frames off where positions are unsure."""
-    known, images = labelled.annotations, labelled.images
-    of_known = _border(known.boxes_px, images.sizes_px[known.image])
+    truth, images = labelled.annotations, labelled.images
+    of_known = _border(truth.boxes_px, images.sizes_px[truth.image])
     rows = np.flatnonzero(of_known.any(axis=1))
-    rows = rows[np.argsort(images.time_s[known.image[rows]], kind="stable")]
-    of_image = known.image[rows]
-    time_s, below = images.time_s[of_image], _below_horizon(labelled, of_image, known.boxes_px[rows])
-    found = []
+    rows = rows[np.argsort(images.time_s[truth.image[rows]], kind="stable")]
+    of_image = truth.image[rows]
+    time_s, below = images.time_s[of_image], _below_horizon(labelled, of_image, truth.boxes_px[rows])
+    places = []
     for place in np.flatnonzero(links.at_border & np.isfinite(links.time_s)).tolist():
         when, row = float(links.time_s[place]), links.rows[place]
         near = np.arange(*np.searchsorted(time_s, [when - links.longest_gap_s, when + links.longest_gap_s]))
         box, image = labelled.results.boxes_px[[row]], links.image[[place]]
         side, (top, bottom) = _border(box, images.sizes_px[image])[0], _below_horizon(labelled, image, box)[0]
-        same = images.sequence[known.image[rows[near]]] == images.sequence[links.image[place]]
+        same = images.sequence[truth.image[rows[near]]] == images.sequence[links.image[place]]
         same &= (of_known[rows[near]] & side).any(axis=1)
         common = np.minimum(below[near, 1], bottom) - np.maximum(below[near, 0], top)
         both = np.maximum(below[near, 1], bottom) - np.minimum(below[near, 0], top)
         if (same & (common >= _MIN_INSIDE * both)).any():
-            found.append(place)
-    return np.array(found, dtype=np.int64)
+            places.append(place)
+    return np.array(places, dtype=np.int64)
 
 
 def _below_horizon(labelled: LabelledSet, image: Indices, boxes_px: Array) -> Array:
@@ -317,11 +317,11 @@ def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matching, th
     if not len(faint) or not len(tracks.image):
         return faint[:0]
     faint = faint[match(labelled, replace(matched.rule, by_confidence=True)).annotation[faint] < 0]
-    found = [
+    parts = [
         faint[a][iou(results.boxes_px[faint[a]], tracks.boxes_px[b]) >= _SAME_IOU]
         for a, b in image_pairs(results.image[faint], tracks.image, len(labelled.images))
     ]
-    return np.unique(np.concatenate([faint[:0], *found]))
+    return np.unique(np.concatenate([faint[:0], *parts]))
 
 
 _LIKELY, _PERHAPS = 0.5, 0.1  # probabilities from which a thing is taken for a vessel, and from which it may be one
@@ -412,7 +412,7 @@ class ClassifiedDetections:
         states = learned.observed.states
         rates = self.rates(learned.resampling, learned.observed.image_state, states)
         free = dict(zip(states, _free_share(learned.observed), strict=True))
-        changed = {each.state: each for each in rates if each.source is not RateSource.ALL}
+        changed = {rate.state: rate for rate in rates if rate.source is not RateSource.ALL}
 
         def change(entry: Entry) -> Entry:
             rate = changed.get(entry.key.state or "")

@@ -129,21 +129,21 @@ def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Ji
     """Number one sequence's detections by what they are of, from 0, (n,). Times (n,) ascend; sides are left, upper,
     right, lower, (n, 4), `sure` unless cut off. A thing missed for longer than `longest_s` may be another one."""
     numbers, tracklets, count = np.full(len(time_s), -1), list[_Tracklet](), 0
-    for ours in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s)) + 1) if len(time_s) else []:
-        now = float(time_s[ours[0]])
+    for rows in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s)) + 1) if len(time_s) else []:
+        now = float(time_s[rows[0]])
         tracklets = [tracklet for tracklet in tracklets if not tracklet.is_lost(now, longest_s)]
-        free = np.arange(len(ours))
-        for seen in (sure[ours], sure[ours] & ~_beside_others(sides[ours])):
+        free = np.arange(len(rows))
+        for seen in (sure[rows], sure[rows] & ~_beside_others(sides[rows])):
             waiting = [tracklet for tracklet in tracklets if tracklet.last_s < now]
-            taken = _assigned(waiting, now, sides[ours[free]], seen[free], jitter)
+            taken = _assigned(waiting, now, sides[rows[free]], seen[free], jitter)
             for place, tracklet in taken:
-                row = ours[free[place]]
+                row = rows[free[place]]
                 numbers[row] = waiting[tracklet].number
                 waiting[tracklet].update(now, sides[row], seen[free[place]])
             free = np.delete(free, [place for place, _ in taken])
             if not len(free):
                 break
-        for row in ours[free].tolist():
+        for row in rows[free].tolist():
             numbers[row] = count
             here = sides[row].copy(), sure[row].copy()
             tracklets.append(_Tracklet(count, 1, now, now, *here, np.zeros(2), np.ones(2)))
@@ -157,11 +157,14 @@ def _assigned(
     """Pairs of a detection and the thing that it is of, as places; measured and sure are (n, 4)."""
     if not tracklets:
         return []
-    expected, known = np.stack([each.expected(now) for each in tracklets]), np.stack([each.known for each in tracklets])
-    apart, told = np.array([(now - each.last_s, each.counts.min()) for each in tracklets]).T
+    expected, known = (
+        np.stack([tracklet.expected(now) for tracklet in tracklets]),
+        np.stack([tracklet.known for tracklet in tracklets]),
+    )
+    apart, counts = np.array([(now - tracklet.last_s, tracklet.counts.min()) for tracklet in tracklets]).T
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
     side = np.sqrt(np.where(known[:, 0] & known[:, 2], width, np.maximum(width, _ASPECT * height)) * height)
-    way = np.minimum(apart * _SPEED_SIDES_S, _MAX_WAY_SIDES) / np.sqrt(told)
+    way = np.minimum(apart * _SPEED_SIDES_S, _MAX_WAY_SIDES) / np.sqrt(counts)
     reach = np.maximum(_NEAR * side, np.maximum(_GATE_STDS * jitter.off_px(side), _MIN_NEAR_PX)) + side * way
     off = np.linalg.norm(_offsets(measured, sure, expected, known), axis=-1) / reach
     fits = (off <= 1) & _alike(measured, sure, expected, known, jitter)
@@ -194,9 +197,9 @@ def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array
 def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Jitter) -> Mask:
     """Whether n detections are about as large as k things, along axes where all sides are sure, shape (n, k)."""
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2).all(axis=2)
-    found, whole = (np.maximum(each[..., 2:] - each[..., :2], 1.0) for each in (measured[:, None], expected[None]))
-    near = np.abs(found - whole) <= _GATE_STDS * jitter.resized_px(np.sqrt(whole.prod(axis=-1)))
-    return np.asarray((~usable | near | (np.abs(np.log(found / whole)) <= _MAX_LOG_RATIO)).all(axis=-1))
+    size, whole = (np.maximum(sides[..., 2:] - sides[..., :2], 1.0) for sides in (measured[:, None], expected[None]))
+    near = np.abs(size - whole) <= _GATE_STDS * jitter.resized_px(np.sqrt(whole.prod(axis=-1)))
+    return np.asarray((~usable | near | (np.abs(np.log(size / whole)) <= _MAX_LOG_RATIO)).all(axis=-1))
 
 
 # ---- The four sides of unmatched detections ----
@@ -224,16 +227,16 @@ class Sides:
         return cls(np.concatenate([centre - half, centre + half], axis=1), sure, near[:, 0] | far[:, 0])
 
 
-def _covered_sides(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
+def _covered_sides(sightings: FalseSightings, truth: Annotations, images: int) -> Mask:
     """Mask of the sides in the box of a known vessel, or just beside it, shape (n, 4)."""
     hidden = np.zeros((len(sightings), 4), dtype=bool)
-    for row, vessel in image_pairs(sightings.image, known.image, images):
-        ours, theirs = sightings.boxes_px[row], known.boxes_px[vessel]
-        beside_px = np.maximum(_BESIDE * (theirs[:, 3] - theirs[:, 1]), _NEAR_PX)
+    for row, vessel in image_pairs(sightings.image, truth.image, images):
+        boxes, vessels = sightings.boxes_px[row], truth.boxes_px[vessel]
+        beside_px = np.maximum(_BESIDE * (vessels[:, 3] - vessels[:, 1]), _NEAR_PX)
         near = np.column_stack([beside_px, np.full(len(row), _NEAR_PX)])
-        low, high = theirs[:, :2] - near, theirs[:, 2:] + near
-        meets = ((ours[:, :2] <= high) & (ours[:, 2:] >= low)).all(axis=1)
-        np.logical_or.at(hidden, row, (ours >= np.tile(low, 2)) & (ours <= np.tile(high, 2)) & meets[:, None])
+        low, high = vessels[:, :2] - near, vessels[:, 2:] + near
+        meets = ((boxes[:, :2] <= high) & (boxes[:, 2:] >= low)).all(axis=1)
+        np.logical_or.at(hidden, row, (boxes >= np.tile(low, 2)) & (boxes <= np.tile(high, 2)) & meets[:, None])
     return hidden
 
 
@@ -274,8 +277,8 @@ def link(observed: Outcomes) -> Links:
     sides = Sides.of(sightings, observed.labelled.annotations, len(images))
     numbers, first = np.full(len(sightings), -1), 0
     sequence = images.sequence[sightings.image]
-    for each in np.unique(sequence[np.isfinite(time_s)]):
-        rows = np.flatnonzero((sequence == each) & np.isfinite(time_s))
+    for series in np.unique(sequence[np.isfinite(time_s)]):
+        rows = np.flatnonzero((sequence == series) & np.isfinite(time_s))
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         numbers[rows] = first + follow(time_s[rows], sides.places_px[rows], sides.sure[rows], longest, jitter)
         first = int(numbers.max()) + 1
@@ -377,7 +380,7 @@ def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
     if np.median(off) > max(_MAX_OFF * side, _MAX_OFF_PX, _UNSTEADY_STDS * float(links.jitter.off_px(side))):
         return Behaviour.JUMPS
     # A vessel that nears grows, but slowly.
-    shares, pixels = (MAD_TO_STD * np.median(np.abs(np.diff(each, axis=0)), axis=0) for each in (np.log(size), size))
+    shares, pixels = (MAD_TO_STD * np.median(np.abs(np.diff(sides, axis=0)), axis=0) for sides in (np.log(size), size))
     resized = (shares > np.sqrt(2) * _MAX_RESIZED) & (pixels > _UNSTEADY_STDS * links.jitter.resized_px(side))
     return Behaviour.CHANGES_SIZE if resized.any() else Behaviour.LIKE_A_VESSEL
 

@@ -28,8 +28,8 @@ class BoxesAtTimes:
         """Raise ModsimError if shapes do not fit, times do not ascend, a box has no frame, or a number is infinite."""
         count = len(self.frame)
         if self.times_s.ndim != 1 or self.boxes_px.shape != (count, 4):
-            found = f"times {self.times_s.shape}, frames {self.frame.shape}, boxes {self.boxes_px.shape}"
-            raise ModsimError(f"detections: shapes (F,), (n,) and (n, 4) are needed (got {found})")
+            shapes = f"times {self.times_s.shape}, frames {self.frame.shape}, boxes {self.boxes_px.shape}"
+            raise ModsimError(f"detections: shapes (F,), (n,) and (n, 4) are needed (got {shapes})")
         if not (np.isfinite(self.times_s).all() and np.isfinite(self.boxes_px).all()):
             raise ModsimError("detections: a time or an edge of a box is not a finite number")
         if np.any(np.diff(self.times_s) <= 0):
@@ -297,21 +297,21 @@ def fit(
 
     def slopes(vector: Array) -> Array:
         values = unknowns.values(vector, start)
-        each = derivatives(model, residuals, values, (*unknowns.shared, *vessel_names)) * weights / spreads_px[:, None]
-        each = np.nan_to_num(each, nan=0.0)
-        jacobian = np.zeros((len(each) + ties + priors, count + priors))
-        jacobian[: len(each), :count] = each[:, :count]
-        known = np.flatnonzero(row_of >= 0)
+        block = derivatives(model, residuals, values, (*unknowns.shared, *vessel_names)) * weights / spreads_px[:, None]
+        block = np.nan_to_num(block, nan=0.0)
+        jacobian = np.zeros((len(block) + ties + priors, count + priors))
+        jacobian[: len(block), :count] = block[:, :count]
+        rows = np.flatnonzero(row_of >= 0)
         for own in range(len(vessel_names)):
-            jacobian[known, count + row_of[known] * len(vessel_names) + own] = each[known, count + own]
-        jacobian[len(each) :, count - ties :] = np.eye(ties + priors)
+            jacobian[rows, count + row_of[rows] * len(vessel_names) + own] = block[rows, count + own]
+        jacobian[len(block) :, count - ties :] = np.eye(ties + priors)
         return jacobian
 
     first = unknowns.vector(start)
-    found = least_squares(
+    best = least_squares(
         of, first, slopes, loss="soft_l1", f_scale=SOFT, xtol=1e-4, ftol=1e-5, max_nfev=most or MAX_EVALUATIONS
     )
-    return unknowns.values(found.x, start)
+    return unknowns.values(best.x, start)
 
 
 FIRST = ("clock_s", "yaw_deg", "pitch_deg")

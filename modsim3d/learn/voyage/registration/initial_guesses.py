@@ -78,31 +78,33 @@ def search(model: BoxModel, found: BoxesAtTimes, clocks_s: Array, most_turn_rad:
     return Search(guesses, chance, len(seen.frame))
 
 
-def _mirrored(lens: Intrinsics, found: BoxesAtTimes) -> BoxesAtTimes:
-    boxes = found.boxes_px[:, [2, 1, 0, 3]] * (-1, 1, -1, 1) + np.array([lens.image_size_px[0], 0] * 2)
-    return BoxesAtTimes(found.times_s, found.frame, boxes)
+def _mirrored(lens: Intrinsics, detections: BoxesAtTimes) -> BoxesAtTimes:
+    boxes = detections.boxes_px[:, [2, 1, 0, 3]] * (-1, 1, -1, 1) + np.array([lens.image_size_px[0], 0] * 2)
+    return BoxesAtTimes(detections.times_s, detections.frame, boxes)
 
 
-def _directions(lens: Intrinsics, found: BoxesAtTimes) -> _Directions:
+def _directions(lens: Intrinsics, detections: BoxesAtTimes) -> _Directions:
     """The middle of the lower edge of each box, and the angle between its sides; what no lens shows is left out."""
-    left, _, right, bottom = found.boxes_px.T
+    left, _, right, bottom = detections.boxes_px.T
     pixels = np.stack([np.stack([x, bottom], axis=-1) for x in (left, (left + right) / 2, right)], axis=1)
     rays = lens.unproject(pixels, np.ones(pixels.shape[:2]))
     azimuth = np.arctan2(rays[..., 0], rays[..., 2])
     down = np.arctan2(rays[:, 1, 1], np.hypot(rays[:, 1, 0], rays[:, 1, 2]))
-    known = np.isfinite(azimuth).all(axis=1) & np.isfinite(down)
-    return _Directions(found.frame[known], azimuth[known, 1], down[known], (azimuth[:, 2] - azimuth[:, 0])[known])
+    finite = np.isfinite(azimuth).all(axis=1) & np.isfinite(down)
+    return _Directions(
+        detections.frame[finite], azimuth[finite, 1], down[finite], (azimuth[:, 2] - azimuth[:, 0])[finite]
+    )
 
 
 def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Directions:
     """Directions of all vessels that are there and, turned by the most, in the field of view, in order of frame."""
     traffic, count = model.traffic, len(model.hulls_m)
     frame, vessel = np.divmod(np.arange(len(times_s) * count), count)
-    there = traffic.presence(times_s[frame], vessel)
+    present = traffic.presence(times_s[frame], vessel)
     if traffic.carrier is not None:
-        there &= vessel != traffic.carrier
-        there &= traffic.presence(times_s[frame], np.full(len(frame), traffic.carrier))
-    frame, vessel = frame[there], vessel[there]
+        present &= vessel != traffic.carrier
+        present &= traffic.presence(times_s[frame], np.full(len(frame), traffic.carrier))
+    frame, vessel = frame[present], vessel[present]
     if not len(frame):
         return _Directions(frame, *np.empty((3, 0)))
     none = Values.none(count)
@@ -161,8 +163,8 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
         raise ModsimError(f"registration: too little to go by: {counted(len(found.frame), 'detection')}, and {_NEEDED}")
     others = int(model.traffic.present.any(axis=0).sum()) - (model.traffic.carrier is not None)
     if others < MIN_VESSELS:
-        there = f"the scene has {counted(others, 'vessel')} for the camera to see"
-        raise ModsimError(f"registration: {there}; at least {MIN_VESSELS} are needed")
+        reason = f"the scene has {counted(others, 'vessel')} for the camera to see"
+        raise ModsimError(f"registration: {reason}; at least {MIN_VESSELS} are needed")
     low, high = model.traffic.span_s
     first, last = found.times_s[[0, -1]]
     if last + searched_s < low or first - searched_s > high:
@@ -232,10 +234,10 @@ STRETCHES = 12
 def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -> tuple[Values, list[Values]]:
     """The best start, and others whose clocks explain nearly as well, from an aligner of some frames, the greatest
     offset of the clock, and by how far places may be off. Raises ModsimError if none explains more than chance."""
-    model, found, free = aligner.model, aligner.found, aligner.free
+    model, detections, free = aligner.model, aligner.found, aligner.free
     clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
-    voted = search(model, found, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))
-    check_search(voted, model, found, clocks, scene)
+    voted = search(model, detections, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))
+    check_search(voted, model, detections, clocks, scene)
     zero = {name: 0.0 for name in ("clock_s", "yaw_deg", "pitch_deg") if name not in free}
     tried, clocks_s = list[tuple[Array, Values]](), list[float]()
     for guess in voted.guesses[:MAX_GUESSES]:
@@ -261,7 +263,7 @@ def rivals_of(most: Array, best: Values, others: Sequence[tuple[Array, Values]])
     rivals = list[Values]()
     for less, other in others:
         worse = most - less
-        clocks_s = np.array([each["clock_s"] for each in (best, *rivals)])
+        clocks_s = np.array([start["clock_s"] for start in (best, *rivals)])
         new = np.abs(clocks_s - other["clock_s"]).min() > STARTS_APART_S
         if new and worse.mean() < SURE * worse.std(ddof=1) / np.sqrt(len(worse)):
             rivals.append(other)

@@ -78,8 +78,8 @@ class KnownTraffic:
     def velocities(self, times_s: Array, vessel: Indices) -> Array:
         """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2). They
         turn with the vessel: one that goes round in a circle keeps its speed ahead."""
-        known = [np.flatnonzero(column) for column in self.present.T]
-        first, last = (np.array([self.times_s[rows[end]] if len(rows) else 0.0 for rows in known]) for end in (0, -1))
+        steps = [np.flatnonzero(column) for column in self.present.T]
+        first, last = (np.array([self.times_s[rows[end]] if len(rows) else 0.0 for rows in steps]) for end in (0, -1))
         ends_s = first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3)
         start, stop = (np.clip(times_s + side, *ends_s) for side in (-MEAN_S, MEAN_S))
         before, after = (self._interpolated(self._travelled_m, at_s, vessel) for at_s in (start, stop))
@@ -123,14 +123,14 @@ def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
     filled = places_m.copy()
     for vessel in np.flatnonzero(present.any(axis=0)).tolist():
         steps = np.flatnonzero(present[:, vessel])
-        known_s, known = times_s[steps], places_m[steps, vessel]
-        known[:, 3] = filled[steps, vessel, 3] = np.unwrap(known[:, 3])
-        columns = [np.interp(times_s, known_s, column) for column in known.T]
+        known_s, path = times_s[steps], places_m[steps, vessel]
+        path[:, 3] = filled[steps, vessel, 3] = np.unwrap(path[:, 3])
+        columns = [np.interp(times_s, known_s, column) for column in path.T]
         absent = np.flatnonzero(~present[:, vessel])
         filled[absent, vessel] = np.stack(columns, axis=-1)[absent]
         if len(steps) > 1:
             for edge, inner, beyond in ((0, 1, absent < steps[0]), (-1, -2, absent > steps[-1])):
-                speed = (known[edge, :2] - known[inner, :2]) / (known_s[edge] - known_s[inner])
+                speed = (path[edge, :2] - path[inner, :2]) / (known_s[edge] - known_s[inner])
                 rows = absent[beyond]
                 filled[rows, vessel, :2] += (times_s[rows] - known_s[edge])[:, None] * speed
     return filled

@@ -90,8 +90,8 @@ class Values:
 
 def plausible(names: Iterable[str]) -> Array:
     """Plausible distances of named parameters from the scene's values, shape (n,)."""
-    known = {parameter.name: parameter.plausible for parameter in (*SHARED, *OF_A_VESSEL)}
-    return np.array([known[name] for name in names])
+    distances = {parameter.name: parameter.plausible for parameter in (*SHARED, *OF_A_VESSEL)}
+    return np.array([distances[name] for name in names])
 
 
 def flags(names: Iterable[str]) -> Mask:
@@ -184,7 +184,7 @@ def vessel_values(
     the delay gets a spread that moves the vessel as far as that of the offset. A value is determined if its error is
     below a quarter of its spread. `covariance` (p, p) is that of the parameters of the camera, `speeds_m_s` (k,) are
     mean speeds, and `names` those of all the scene's vessels."""
-    found, (moved, across, _) = [], effects.spreads.tolist()
+    values, (moved, across, _) = [], effects.spreads.tolist()
     for row, (vessel, speed) in enumerate(zip(effects.vessels.tolist(), speeds_m_s.tolist(), strict=True)):
         spreads = np.array([moved, across, moved / max(speed, SLOW_M_S)])
         free = np.flatnonzero(spreads > 0)
@@ -194,14 +194,14 @@ def vessel_values(
         value, errors = own @ effects.pulls[row], own + reach @ covariance @ reach.T
         about = [(AHEAD, np.array([-1.0, 0.0, speed]), moved)]
         about += [
-            ((each.name, each.words, each.unit), axis, spread)
-            for each, axis, spread in zip(OF_A_VESSEL, np.eye(3), spreads.tolist(), strict=True)
+            ((parameter.name, parameter.words, parameter.unit), axis, spread)
+            for parameter, axis, spread in zip(OF_A_VESSEL, np.eye(3), spreads.tolist(), strict=True)
         ]
         for (name, words, unit), axis, spread in about:
             error = float(np.sqrt(axis @ errors @ axis))
             if spread > 0 and error < SURE * spread:
-                found.append((f"{names[vessel]}.{name}", words, unit, float(axis @ value), error))
-    return found
+                values.append((f"{names[vessel]}.{name}", words, unit, float(axis @ value), error))
+    return values
 
 
 LEVEL = 0.95
@@ -272,8 +272,8 @@ class Linear:
         sums = np.array(scores)
         covariance = bread @ (sums.T @ sums) @ bread
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        found = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
-        half = errors * student_t.ppf((1 + LEVEL) / 2, found if degrees is None else degrees)
+        freedom = _degrees(np.array(reaches), np.array(squares), np.asarray(bread, dtype=np.float64))
+        half = errors * student_t.ppf((1 + LEVEL) / 2, freedom if degrees is None else degrees)
         return Knowledge(covariance, half, errors)
 
     def known_by_model(self, together: float, degrees: float) -> Knowledge:
@@ -338,7 +338,7 @@ class ConfoundedGroup:
 
     def words(self) -> str:
         """For example: `mean_y_px is held; 1 px of it looks like +0.044° of pitch_deg`."""
-        units = {each.name: each.unit if each.unit in ("", "°") else f" {each.unit}" for each in SHARED}
+        units = {param.name: param.unit if param.unit in ("", "°") else f" {param.unit}" for param in SHARED}
         units[COMMON_DELAY] = " s"
         if not self.exchange:
             return f"{self.held}: the detections say nothing of it"

@@ -53,7 +53,7 @@ class Registration:
 
     def __getitem__(self, name: str) -> RegisteredValue:
         """An estimate by its name, such as `pitch_deg` or `ferry.delay_s`."""
-        return {each.name: each for each in (*self.estimates, *self.vessels)}[name]
+        return {entry.name: entry for entry in (*self.estimates, *self.vessels)}[name]
 
     @property
     def matched_vessels(self) -> int:
@@ -63,7 +63,7 @@ class Registration:
     @property
     def correction(self) -> Correction:
         """Correction of the camera and of the clock by the estimates."""
-        return Correction(**{each.name: self.values[each.name] for each in fields(Correction)})
+        return Correction(**{field.name: self.values[field.name] for field in fields(Correction)})
 
     def camera_of(self, camera: Camera) -> Camera:
         """The camera as it really is, from the scene's."""
@@ -79,9 +79,9 @@ class Registration:
         lines = [f"registration of camera '{self.camera}' by {len(self.sightings)} of {self.detections} detections"]
         lines[0] += f" of {self.matched_vessels} vessels"
         lines.append(f"  residual {self.rms_before_px:.1f} px before, {self.rms_after_px:.1f} px after")
-        for each in (*self.estimates, *self.vessels):
-            known = f"held: {each.held}" if each.held else f"{each.low:.4g} to {each.high:.4g}"
-            lines.append(f"  {each.name:<20} {each.value:>9.4g} {each.unit:<3} ({known})")
+        for entry in (*self.estimates, *self.vessels):
+            interval = f"held: {entry.held}" if entry.held else f"{entry.low:.4g} to {entry.high:.4g}"
+            lines.append(f"  {entry.name:<20} {entry.value:>9.4g} {entry.unit:<3} ({interval})")
         return "\n".join([*lines, *(f"  by rule: {group.words()}" for group in self.groups)])
 
 
@@ -140,9 +140,9 @@ def register(
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
     last = _LastFit(Aligner(model, hiding, some, free, use_sizes), free, lost, offsets_m, noise_m, scene.vessel_names)
-    estimated, known = _best(last.aligner, [last.of(aligned), *filter(None, map(last.from_start, rivals))], free)
+    estimated, bounds = _best(last.aligner, [last.of(aligned), *filter(None, map(last.from_start, rivals))], free)
     check_matches(model, estimated.aligned, scene.vessel_names)
-    vessels = _vessel_estimates(scene, model, estimated.aligned, estimated.effects, known.covariance)
+    vessels = _vessel_estimates(scene, model, estimated.aligned, estimated.effects, bounds.covariance)
     rules = _rules(fixed, {*free, *lost}, groups, known_means)
     # Held by a rule: what the others would be under another one.
     groups += [
@@ -151,7 +151,7 @@ def register(
     aligned = estimated.aligned
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
-    return _registration(camera, model, aligned, free, known, known_means, rules, groups, vessels, len(found.frame))
+    return _registration(camera, model, aligned, free, bounds, known_means, rules, groups, vessels, len(found.frame))
 
 
 _MEANS = tuple(parameter.name for parameter in parameters.MEAN_ERRORS)
@@ -185,14 +185,14 @@ def _camera(scene: Scene, name: str) -> Camera:
     return cameras[name]
 
 
-def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
+def _corrected(detections: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
     """The detections with given mean errors taken off: x and y in pixels, width and height as shares."""
     if mean.shape != (4,) or not np.isfinite(mean).all() or np.any(mean[2:] <= -1):
         raise ModsimError(f"mean_errors: four numbers x, y, width, height are needed (got {mean.tolist()})")
-    boxes = centre_form(found.boxes_px)
+    boxes = centre_form(detections.boxes_px)
     boxes[:, :2] -= mean[:2]
     boxes[:, 2:] /= 1 + mean[2:]
-    return BoxesAtTimes(found.times_s, found.frame, corner_form(boxes))
+    return BoxesAtTimes(detections.times_s, detections.frame, corner_form(boxes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +263,7 @@ def _registration(
     model: BoxModel,
     aligned: Alignment,
     free: tuple[str, ...],
-    known: parameters.Knowledge,
+    bounds: parameters.Knowledge,
     means: Mapping[str, float],
     rules: dict[str, str],
     groups: list[ConfoundedGroup],
@@ -276,12 +276,12 @@ def _registration(
         error, half = nan, nan
         if parameter.name in free:
             place = free.index(parameter.name)
-            error, half = float(known.errors[place] * scales[place]), float(known.half_widths[place] * scales[place])
+            error, half = float(bounds.errors[place] * scales[place]), float(bounds.half_widths[place] * scales[place])
         about, rule = (parameter.name, parameter.words, parameter.unit), rules.get(parameter.name, "")
         estimates.append(RegisteredValue(*about, value, error, value - half, value + half, rule))
     before, after = (_rms(model, aligned, values) for values in (Values.none(len(model.hulls_m)), aligned.values))
-    found = tuple(estimates), vessels, known.covariance * scales[:, None] * scales, tuple(groups)
-    return Registration(camera, aligned.values, *found, aligned.sightings, detections, before, after)
+    parts = tuple(estimates), vessels, bounds.covariance * scales[:, None] * scales, tuple(groups)
+    return Registration(camera, aligned.values, *parts, aligned.sightings, detections, before, after)
 
 
 def _rms(model: BoxModel, aligned: Alignment, values: Values) -> float:
