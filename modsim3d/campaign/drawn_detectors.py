@@ -99,17 +99,17 @@ _DIGITS = 1e-5  # what the digits of the settings may change in proportion
 _MAX_FACTOR = 10.0  # numbers and rates are drawn within this factor of their estimates; some have no bound at all
 
 
-def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
+def drawn_detector(spread: LearnedUncertainty, seed: int) -> dict[str, Any]:
     """Settings of the detector that is drawn for a traffic seed, from keys such as `detector.states.good.confusion` to
     values. Raises ModsimError if the correlations are none."""
     rng = np.random.default_rng([_STREAM, seed])
     settings: dict[str, Any] = {}
-    for group in known.groups:
+    for group in spread.groups:
         section = "detector" if group.state is None else f"detector.states.{group.state}"
         values = _drawn_group(group, rng)
-        settings |= {f"{section}.{key}": value for key, value in _written(values, known.confidence_threshold).items()}
-    if known.transitions is not None:
-        columns = [rng.dirichlet(column + 1) for column in np.array(known.transitions, dtype=np.float64).T]
+        settings |= {f"{section}.{key}": value for key, value in _written(values, spread.confidence_threshold).items()}
+    if spread.transitions is not None:
+        columns = [rng.dirichlet(column + 1) for column in np.array(spread.transitions, dtype=np.float64).T]
         settings["detector.transition_matrix"] = columns_of_one(np.stack(columns, axis=1))
     return settings | _second_boxes_with_room(settings)
 

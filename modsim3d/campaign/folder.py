@@ -110,10 +110,10 @@ MAX_KEYS = 5
 PARTS = ("campaign", "versions")  # of a plan, what its user knows: the keys of the file, and the versions of packages
 
 
-def differences(there: Any, now: Mapping[str, Any]) -> list[str]:
+def differences(record: Any, now: Mapping[str, Any]) -> list[str]:
     """The first few keys whose values differ between the content of a stored plan and another, each with both."""
-    there = there if isinstance(there, dict) else {}
-    changes = [line for part in PARTS for line in _between(there.get(part), now.get(part), (part,))]
+    record = record if isinstance(record, dict) else {}
+    changes = [line for part in PARTS for line in _between(record.get(part), now.get(part), (part,))]
     lines = [line.removeprefix("campaign.") for line in changes[:MAX_KEYS]]
     if len(changes) > MAX_KEYS:
         lines.append(f"{len(changes) - MAX_KEYS} more keys")

@@ -271,14 +271,14 @@ def learn_json(report: LearnReport, written: Sequence[Path], command: str = "lea
 def _figures(figures: Figures, report: LearnReport) -> dict[str, Any]:
     """Figures of a condition or state whatever the label, and the mean average precision."""
 
-    def found(column: Column) -> dict[str, float]:
+    def content(column: Column) -> dict[str, float]:
         return column.content(report.level, figures.units)
 
     return {
         "name": figures.name,
         "images": figures.images,
-        **{name: found(column) for name, column in figures.any_label._asdict().items()},
-        "average_precision": figures.mean_average_precision and found(figures.mean_average_precision.all_points),
+        **{name: content(column) for name, column in figures.any_label._asdict().items()},
+        "average_precision": figures.mean_average_precision and content(figures.mean_average_precision.all_points),
     }
 
 

@@ -248,12 +248,12 @@ class Stopped(KeyboardInterrupt):
 
 
 @contextmanager
-def interruptible(said: str = "") -> Iterator[None]:
-    """End the command after Ctrl-C or a signal that `stoppable` takes, and say `said` after `interrupted`."""
+def interruptible(note: str = "") -> Iterator[None]:
+    """End the command after Ctrl-C or a signal that `stoppable` takes, and say `note` after `interrupted`."""
     try:
         yield
     except KeyboardInterrupt as stop:
-        say(f"\nmodsim3d: interrupted{said}", err=True)
+        say(f"\nmodsim3d: interrupted{note}", err=True)
         raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
 
 

@@ -57,22 +57,22 @@ def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequenc
     return numbers
 
 
-def mot_files(truth: bytes, video: Video, found: TrackerDetections, numbers: Sequence[int]) -> dict[str, bytes]:
+def mot_files(truth: bytes, video: Video, detections: TrackerDetections, numbers: Sequence[int]) -> dict[str, bytes]:
     """A MOT sequence: the truth as it was read, detections, and `seqinfo.ini`. Detections name their class where the
-    detector has several labels, whose numbers are given. `found` has the place of its image as the frame."""
+    detector has several labels, whose numbers are given. `detections` have the place of its image as the frame."""
     count, duration_s = len(video.images), float(video.times_s[-1] - video.times_s[0])
     rate_hz = (count - 1) / duration_s if count > 1 else ONE_FRAME_HZ
-    text = detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
+    text = detection_text(detections, np.array(numbers)[detections.label] if len(numbers) > 1 else None)
     info = sequence_text(video.name, video.size_px, rate_hz, count)
     return {"gt/gt.txt": truth, "det/det.txt": text.encode(), "seqinfo.ini": info.encode()}
 
 
 def coco_results(
-    found: Sequence[tuple[Video, TrackerDetections]], images: Sequence[int | str], numbers: Sequence[int]
+    parts: Sequence[tuple[Video, TrackerDetections]], images: Sequence[int | str], numbers: Sequence[int]
 ) -> bytes:
     """COCO results, with image IDs of the truth's file and the category of each label; frames are places of images."""
     entries: list[dict[str, Any]] = []
-    for video, part in found:
+    for video, part in parts:
         shapes = np.round(np.concatenate([part.boxes_px[:, :2], sizes(part.boxes_px)], axis=1), BOX_DECIMALS)
         rows = video.images[part.frame].tolist()
         columns = rows, part.label.tolist(), shapes.tolist(), part.confidence.tolist()

@@ -22,10 +22,10 @@ _END_S = 5.0  # time that a program has to end once its output has ended
 class CoprocessError(ModsimError):
     """A program that stalled, ended or said too much: the problem, and its last lines of standard error."""
 
-    def __init__(self, problem: str, said: str = "") -> None:
+    def __init__(self, problem: str, stderr: str = "") -> None:
         """Join both into the message."""
-        super().__init__(f"{problem}; standard error: {said}" if said else problem)
-        self.problem, self.said = problem, said
+        super().__init__(f"{problem}; standard error: {stderr}" if stderr else problem)
+        self.problem, self.said = problem, stderr
 
 
 class Coprocess:

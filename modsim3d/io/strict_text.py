@@ -74,7 +74,7 @@ def _too_many(what: str) -> str:
 
 
 def _values(node: yaml.Node, counts: dict[int, int]) -> int:
-    """Values of a node with all that its aliases repeat; `known` has those of nodes by their `id`."""
+    """Values of a node with all that its aliases repeat; `counts` has those of nodes by their `id`."""
     if id(node) not in counts:
         counts[id(node)] = 0  # a node within itself, which cannot be constructed
         count = 1

@@ -143,20 +143,20 @@ class TextTable:
         )
         return values
 
-    def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
-        """A column of names as indices of the `known` ones, (k,). `NOBODY` where a cell is empty or the column is not
+    def names(self, name: str, choices: Sequence[str], *, needed: bool = True) -> Indices:
+        """A column of names as indices of the `choices`, (k,). `NOBODY` where a cell is empty or the column is not
         there, unless it is `needed`."""
         if not needed and not self.has(name):
             return np.full(len(self), NOBODY)
         texts = self.columns[name]
-        index = pc.fill_null(pc.index_in(texts, value_set=pa.array(list(known), pa.string())), NOBODY)
+        index = pc.fill_null(pc.index_in(texts, value_set=pa.array(list(choices), pa.string())), NOBODY)
         indices = np.asarray(index.to_numpy(zero_copy_only=False), dtype=np.int64)
         unknown = indices == NOBODY
         if not needed:
             unknown &= ~_mask(pc.equal(pc.binary_length(texts), 0))
         self.problems.refuse(
             unknown,
-            lambda row: f"there is no {name} {self._cell(name, row)} ({nearest(texts[row].as_py(), known)})",
+            lambda row: f"there is no {name} {self._cell(name, row)} ({nearest(texts[row].as_py(), choices)})",
             np.unique(texts.to_numpy(zero_copy_only=False).astype(str), return_inverse=True)[1],
         )
         return indices

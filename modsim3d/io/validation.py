@@ -89,9 +89,9 @@ def join_path(*parts: object) -> str:
     return path
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, choices: Iterable[str]) -> str:
     """A hint: the known name that was probably meant, or the known names."""
-    name, names = str(name), [str(candidate) for candidate in known]
+    name, names = str(name), [str(candidate) for candidate in choices]
     likely = names[:MAX_COMPARED] if len(name) <= MAX_COMPARED_LENGTH else []
     by_small = {candidate.lower(): candidate for candidate in reversed(likely)}
     if close := difflib.get_close_matches(name.lower(), by_small, n=1):
@@ -99,11 +99,11 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
 
 
-def nearest_key(key: str, known: Collection[str]) -> str:
+def nearest_key(key: str, choices: Collection[str]) -> str:
     """The hint of `nearest` for a key, or the known keys that others call like this; see `synonyms.yaml`."""
     word, table = str(key).lower().replace("-", "_"), _synonyms().items()
-    keys = [f"'{path}'" for path, synonyms in table if word in synonyms and path.partition(".")[0] in known]
-    return f"did you mean {' or '.join(keys)}?" if keys else nearest(key, known)
+    keys = [f"'{path}'" for path, synonyms in table if word in synonyms and path.partition(".")[0] in choices]
+    return f"did you mean {' or '.join(keys)}?" if keys else nearest(key, choices)
 
 
 @cache
@@ -182,14 +182,14 @@ def kind_of(value: object) -> str:
     return "nothing" if value is None else _KINDS.get(type(value), type(value).__name__)
 
 
-def words(problem: Mapping[str, Any], known: str = "") -> str:
-    """A problem that pydantic found, in our words: `must be at most 2 (got 3)`; `known` stands before the value."""
+def words(problem: Mapping[str, Any], names: str = "") -> str:
+    """A problem that pydantic found, in our words: `must be at most 2 (got 3)`; `names` stand before the value."""
     if problem["type"] in ("value_error", "assertion_error"):
         return str(problem["msg"]).removeprefix("Value error, ")
     facts = problem.get("ctx", {}).items()
     numbers = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in facts}
     text = problem["msg"] if problem["type"] == "needed" else _WORDS.get(problem["type"], _OTHER).format(**numbers)
-    return f"{text}{known} (got {shown(problem['input'])})"
+    return f"{text}{names} (got {shown(problem['input'])})"
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:

@@ -47,15 +47,15 @@ class ConditionChange:
         if first.box_error.unit != second.box_error.unit:
             problem = f"its box errors are in {second.box_error.unit}, and those of {before[0]} {first.box_error.unit}"
             raise InputError(f"condition {after[0]}", [problem])
-        recall, now_found = (1 - float(state.confusion[-1, 0]) for state in (first, second))
+        recall, now_recall = (1 - float(state.confusion[-1, 0]) for state in (first, second))
         false_odds = _odds(second.false_discovery_rate) / _odds(first.false_discovery_rate)
         variances = np.diag(second.box_error.covariance) / np.diag(first.box_error.covariance)
         pairs = ((second.confidence.true, first.confidence.true), (second.confidence.false, first.confidence.false))
         true, false = (_log_odds(_mean(now)) - _log_odds(_mean(then)) for now, then in pairs)
         return cls(
-            miss_odds=_odds(1 - now_found) / _odds(1 - recall),
+            miss_odds=_odds(1 - now_recall) / _odds(1 - recall),
             false_odds=false_odds,
-            false_per_image=false_odds * now_found / recall,
+            false_per_image=false_odds * now_recall / recall,
             spread=np.sqrt(variances),
             confidence=(true, false),
         )

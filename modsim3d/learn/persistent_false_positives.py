@@ -154,7 +154,7 @@ class CountedPairs:
 
 
 def _shares(counts: Array, chance: Array, signal: Array) -> tuple[Array, Array]:
-    """Log-likelihood of Poisson numbers (K,) of means chance + share · each (G, K), and the best share; shapes (G,)."""
+    """Log-likelihood of Poisson numbers (K,) of means chance + share · signal (G, K), and best share, (G,)."""
     whole = np.maximum(signal.sum(axis=1), 1e-12)
     share = np.clip((counts - chance).sum() / whole, 0.01, 2.0)
     for _ in range(_NEWTON_STEPS):

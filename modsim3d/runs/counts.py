@@ -49,9 +49,9 @@ def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Arra
     return np.where(false, Outcome.FALSE_POSITIVE, flags).astype(np.uint8)
 
 
-def having(found: Outcomes, flag: Outcome) -> Mask:
+def having(flags: Outcomes, flag: Outcome) -> Mask:
     """Mask of the outcomes that have a flag, shape (m,)."""
-    return (found & flag) > 0
+    return (flags & flag) > 0
 
 
 def frame_outcomes(frame: Frame) -> list[Outcome]:

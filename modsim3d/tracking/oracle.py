@@ -128,7 +128,7 @@ class DetectionSources:
         identity_of[truth.row] = truth.identity
         count = len(rows.detection_frame)
         confidence = number_column(rows.detections, "confidence")
-        # Rows in place of labels, to find them again: `told` sorts.
+        # Rows in place of labels, to find them again: `anonymised` sorts.
         every = anonymised(rows.detection_frame, np.arange(count), rows.detection_boxes_px(), confidence)
         row, labels = every.label, indices(rows.detections, "label", rows.scene.detector.labels)
         detected = rows.detected_row[row]

@@ -309,11 +309,11 @@ def _occlusion_rows(occlusions: Sequence[OcclusionEpisode]) -> list[tuple[str, .
     ]
 
 
-def survived_of(each: Bin) -> str:
+def survived_of(row: Bin) -> str:
     """Number of survived occlusions of a bin, of those that could be; empty outside the group of occlusions."""
-    if each.occlusions is None:
+    if row.occlusions is None:
         return ""
-    return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
+    return f"{round((row.survived or 0.0) * row.judged)} of {row.judged}" if row.judged else UNKNOWN
 
 
 def _part_tables(scores: score_outcome.ScoredTracks) -> list[Table]:

@@ -144,7 +144,7 @@ class Misreading:
 
 
 def misreading(
-    rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None, *, only_forms: bool = False
+    rows: BoxRows, boxes: KnownBoxes, truth: KnownBoxes | None = None, *, only_forms: bool = False
 ) -> Misreading | None:
     """Fault of boxes that are far from known ones as they are, and near if they are read in another way. `truth` has,
     for tracks, the true boxes: a tracker may correct a bias of its detections or lag behind them by a frame, so boxes
@@ -154,12 +154,12 @@ def misreading(
         return None
     rows = rows.spread()
     diagonal_px = np.hypot(*rows.image_px.T)
-    as_it_is = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
+    as_it_is = boxes.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / diagonal_px
     now, best, meant, agreed = _median(as_it_is), _FITS, None, False
     for reading in (_form_readings if only_forms else _readings)(rows):
         if reading.sentence.startswith(_LATE) and truth is not None:
             continue  # a tracker with a latency of one frame looks the same
-        away = known.distances(reading.frame, reading.boxes_px) / diagonal_px
+        away = boxes.distances(reading.frame, reading.boxes_px) / diagonal_px
         both, half = np.isfinite(away) & np.isfinite(as_it_is), _median(away)
         least = _NEAR if reading.factor == _MUCH else _EXACT
         many = _MIN_ROWS if now > _MUCH * half and reading.factor != _CLOSE else _MIN_CLOSE_ROWS
@@ -169,20 +169,20 @@ def misreading(
             agreed = agreed or truth is None or reading.factor == _MUCH or _agrees(truth, rows, reading)
     if meant is None or not agreed:
         return None
-    fits = f"{in_percent(best, 2)} of the image's diagonal from {known.word} instead of {in_percent(now, 2)}"
+    fits = f"{in_percent(best, 2)} of the image's diagonal from {boxes.word} instead of {in_percent(now, 2)}"
     slight = meant.factor == _CLOSE
     if meant.factor == _FRAME and truth is None:  # where boats move alike, a bias of all boxes looks the same
         boxes_px = rows.form.boxes_px(rows.numbers)
-        row, nearest = known.nearest(rows.frame, boxes_px)
-        unbiased_px = boxes_px - np.median(boxes_px[row] - known.boxes_px[nearest], axis=0)
-        slight = _median(known.distances(rows.frame, unbiased_px) / diagonal_px) < _CLOSE * best
+        row, nearest = boxes.nearest(rows.frame, boxes_px)
+        unbiased_px = boxes_px - np.median(boxes_px[row] - boxes.boxes_px[nearest], axis=0)
+        slight = _median(boxes.distances(rows.frame, unbiased_px) / diagonal_px) < _CLOSE * best
     return Misreading(f"{meant.sentence} (then half of them lie within {fits})", slight)
 
 
-def agree(rows: BoxRows, known: KnownBoxes) -> bool:
+def agree(rows: BoxRows, boxes: KnownBoxes) -> bool:
     """Whether there are some boxes of which half, or more, lie near known ones."""
     rows = rows.spread()
-    away = known.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / np.hypot(*rows.image_px.T)
+    away = boxes.distances(rows.frame, rows.form.boxes_px(rows.numbers)) / np.hypot(*rows.image_px.T)
     return len(away) >= _MIN_ROWS and _median(away) < _AGREE
 
 

@@ -270,11 +270,11 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDete
     return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
 
 
-def levels_of(law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections) -> tuple[Array, Array] | None:
+def levels_of(law: StateConfidence, scores: ConfidenceLaw, boxes: ScoredDetections) -> tuple[Array, Array] | None:
     """Least and greatest level of each score in one of a state's laws, shapes (n,); None if its levels are unknown."""
     check = confidence.LEVELS.get(model_name(confidence.SCORES, scores))
-    shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
-    return None if check is None else check(scores, found.scores, shift)
+    shift = -law.visibility_slope * boxes.hidden - law.size_slope * boxes.halvings
+    return None if check is None else check(scores, boxes.scores, shift)
 
 
 Slope = tuple[str, float, Array]  # name of a slope, its value, and what it adds to the mean of each detection per unit

@@ -173,10 +173,10 @@ class FalsePositiveEvidence:
     evidence: Evidence
     expected: ExpectedFalsePositives
 
-    def persistent_variance(self, ours: Mask) -> float:
+    def persistent_variance(self, mask: Mask) -> float:
         """Variance of the number of persistent ones in the images chosen by a mask of shape (s,). Two images Δt apart
         with means m and m′ share min(m, m′)·e^(−Δt/lifetime) of them on average."""
-        rows = np.flatnonzero(ours & (self.expected.persistent > 0))
+        rows = np.flatnonzero(mask & (self.expected.persistent > 0))
         if not len(rows):
             return 0.0
         images, mean = self.evidence.frames, self.expected.persistent[rows]

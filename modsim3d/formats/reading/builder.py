@@ -364,11 +364,11 @@ class Confidences:
                 problems.hint = f"whole numbers may be tracks or classes, not {name}s; if not so, {problems.hint}"
         inside = next((f"{where} has {value:g}" for where, value in scores if low <= value <= high), "")
         whole = all(low <= value <= high for _, value in scores)
-        odd, values_known = "", {value for _, value in scores}
+        odd, score_values = "", {value for _, value in scores}
         if len(rows) >= _MANY and scale is None:
-            if values_known == {1}:
+            if score_values == {1}:
                 odd = f"all {len(scores):,} {name}s are 1: if that is the number of a track, {name}s are missing"
-            elif values_known == {0, 1}:
+            elif score_values == {0, 1}:
                 odd = f"all {len(scores):,} {name}s are 0 or 1: if these are flags, {name}s are missing"
             elif not scores:
                 odd = f"all {len(rows):,} {name}s are -1, which means not given"

@@ -115,12 +115,12 @@ def _truth(sequence: _Sequence) -> str:
     return _lines([*columns, np.where(np.isnan(truth.visible_fraction), UNKNOWN, truth.visible_fraction.round(6))])
 
 
-def detection_text(found: TrackerDetections, classes: Indices | None = None) -> str:
+def detection_text(rows: TrackerDetections, classes: Indices | None = None) -> str:
     """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known. With
     classes, shape (m,), they stand in place of the first number of that place, as in truth."""
-    unknown = np.full(len(found), UNKNOWN)
+    unknown = np.full(len(rows), UNKNOWN)
     last = [unknown if classes is None else classes, unknown, unknown]
-    return _lines([found.frame + 1, unknown, *_places(found.boxes_px), found.confidence, *last])
+    return _lines([rows.frame + 1, unknown, *_places(rows.boxes_px), rows.confidence, *last])
 
 
 def _info(sequence: _Sequence) -> str:

@@ -187,7 +187,7 @@ def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
     return fixed
 
 
-def check_known(known: KnownMeans, fixed: tuple[str, ...]) -> None:
+def check_known(means: KnownMeans, fixed: tuple[str, ...]) -> None:
     """Refuse, with InputError, means of boxes where nothing is registered since all parameters are fixed."""
-    if ALL in fixed and any(value is not None for value in known.mean_errors):
+    if ALL in fixed and any(value is not None for value in means.mean_errors):
         raise InputError("--known", ["means of box errors are for registration, which --fixed all leaves out"])

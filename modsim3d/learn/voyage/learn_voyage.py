@@ -41,7 +41,7 @@ Method = Literal["confidence", "optimal", "centre"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VoyageResult(LearnResult):
-    """A detector that was learned from a voyage, from `learn_voyage`, and what is `told` of the voyage."""
+    """A detector that was learned from a voyage, from `learn_voyage`, and the `voyage_report`."""
 
     voyage_report: VoyageReport = field(kw_only=True)
 

@@ -267,12 +267,12 @@ class VoyageReport:
 # ---- What `modsim3d learn --json` says of a voyage ----
 
 
-def voyage_json(told: VoyageReport) -> dict[str, Any]:
+def voyage_json(report: VoyageReport) -> dict[str, Any]:
     """Registrations, rates of false positives as bounds, box errors less errors of truth, and coverage."""
     return {
-        "registration": [_registration_content(fit) for fit in told.voyage.registered],
-        "false_positives_per_image": [_rates(rate, told.level) for rate in told.rates],
-        "box_errors": [_box_error(component) for component in told.correction.components()],
+        "registration": [_registration_content(fit) for fit in report.voyage.registered],
+        "false_positives_per_image": [_rates(rate, report.level) for rate in report.rates],
+        "box_errors": [_box_error(component) for component in report.correction.components()],
         "coverage": [
             {
                 "camera": coverage.camera,
@@ -281,7 +281,7 @@ def voyage_json(told: VoyageReport) -> dict[str, Any]:
                 "matched": coverage.counts()[0].astype(int).tolist(),
                 "to_be_detected": coverage.counts()[1].astype(int).tolist(),
             }
-            for coverage in told.coverage
+            for coverage in report.coverage
         ],
     }
 
@@ -341,9 +341,9 @@ _KEY = (
 )
 
 
-def voyage_sections(told: VoyageReport) -> tuple[Block, ...]:
+def voyage_sections(report: VoyageReport) -> tuple[Block, ...]:
     """All sections."""
-    return *_registration(told), *_reference(told), *_coverage(told), *_worst(told)
+    return *_registration(report), *_reference(report), *_coverage(report), *_worst(report)
 
 
 def _registration(report: VoyageReport) -> Iterator[Block]:

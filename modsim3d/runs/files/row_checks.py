@@ -73,13 +73,13 @@ class TableRows:
             self.refuse(column, wrong, f"from {least:g} to {most:g}")
         return values
 
-    def names(self, column: str, known: Sequence[str], *, nullable: bool = False) -> Indices:
+    def names(self, column: str, choices: Sequence[str], *, nullable: bool = False) -> Indices:
         """A column of names as indices, `NOBODY` for null, shape (n,)."""
-        indices = tables.indices(self.table, column, known)
+        indices = tables.indices(self.table, column, choices)
         wrong = indices == NOBODY
         if nullable and wrong.any():
             wrong &= self.table[column].is_valid().to_numpy()
-        self.refuse(column, wrong, f"one of {', '.join(known[:12])}{', …' if len(known) > 12 else ''}")
+        self.refuse(column, wrong, f"one of {', '.join(choices[:12])}{', …' if len(choices) > 12 else ''}")
         return indices
 
 

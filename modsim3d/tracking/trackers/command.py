@@ -184,26 +184,28 @@ def header(scene: Scene, settings: Mapping[str, Any]) -> bytes:
     return _line({"protocol": PROTOCOL, **header_of(scene), **more})
 
 
-def lines_of(each: WorldStep, scene: Scene, choice: Choice, ais: list[AisReport]) -> Iterator[tuple[str | None, bytes]]:
+def lines_of(
+    moment: WorldStep, scene: Scene, choice: Choice, ais: list[AisReport]
+) -> Iterator[tuple[str | None, bytes]]:
     """The line of a step, with None; or the line of each frame, that of a stream, with its camera. In the world they
     have places, own ships and AIS too: reports that have arrived go into the first line, and are taken off `ais`."""
-    world, when = choice.tracks == "world", {"time_s": each.time_s, "step": each.step}
+    world, when = choice.tracks == "world", {"time_s": moment.time_s, "step": moment.step}
     carriers = {camera.name: camera.mount.vessel for camera in scene.cameras}
-    attitudes = {reading.vessel: {"attitude_rad": reading.attitude_rad} for reading in each.navigation}
+    attitudes = {reading.vessel: {"attitude_rad": reading.attitude_rad} for reading in moment.navigation}
     lines = list[tuple[str | None, dict[str, Any]]]()
     frames = []
-    for frame in each.frames:
+    for frame in moment.frames:
         attitude = attitudes.get(carriers[frame.camera] or "", {})
         place = {"position_m": rounded(frame.position_m)} if world else {}
         detections = {"detections": _detections(frame, scene.detector.labels, world)}
-        first = {"camera": frame.camera, "frames_in_step": len(each.frames)}
+        first = {"camera": frame.camera, "frames_in_step": len(moment.frames)}
         lines.append((frame.camera, {**first, **attitude, **when, **place, **detections}))
         frames.append({"camera": frame.camera, **attitude, **place, **detections})
     if choice.answers == "steps":
         lines = [(None, {**when, "frames": frames})] if frames or world else []
     for camera, content in lines:
         if world:
-            own = {reading.vessel: _fields(reading, "vessel") for reading in each.navigation}
+            own = {reading.vessel: _fields(reading, "vessel") for reading in moment.navigation}
             content |= {"ais": [_fields(report) for report in ais], "own_ships": own}
             ais.clear()
         yield camera, _line(content)

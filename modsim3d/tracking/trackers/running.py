@@ -289,18 +289,18 @@ def camera_facts(sequence: CameraSequence, scene: Scene) -> CameraFacts:
     return CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, tuple(scene.detector.labels))
 
 
-def joined(found: Sequence[Answers], sequences: Sequence[CameraSequence], cameras: Sequence[int], count: int) -> Tracks:
+def joined(parts: Sequence[Answers], sequences: Sequence[CameraSequence], cameras: Sequence[int], count: int) -> Tracks:
     """The tracks of some cameras, by their indices among the `count` of the scene."""
     none = Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))
     frames = [
         sequence.steps[answer.frame] * count + camera
-        for answer, sequence, camera in zip(found, sequences, cameras, strict=True)
+        for answer, sequence, camera in zip(parts, sequences, cameras, strict=True)
     ]
     columns = ("track", "boxes_px", "label", "confidence", "covariance_px2")
     return Tracks.of(
         count,
         np.concatenate([np.empty(0, dtype=np.int64), *frames]),
-        *(np.concatenate([getattr(answer, name) for answer in (none, *found)]) for name in columns),
+        *(np.concatenate([getattr(answer, name) for answer in (none, *parts)]) for name in columns),
     )
 
 

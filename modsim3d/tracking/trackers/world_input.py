@@ -23,11 +23,11 @@ from modsim3d.tracking.trackers.interface import SensedFrame
 from modsim3d.tracking.trackers.world_interface import AisReport, Navigation, WorldFacts, WorldFrame, WorldStep
 
 
-def sensed_frames(times_s: Array, found: TrackerDetections) -> list[SensedFrame]:
+def sensed_frames(times_s: Array, rows: TrackerDetections) -> list[SensedFrame]:
     """The detections of each of F frames at these times, (F,), in arrays of their own, which a tracker may write to."""
-    edges = np.searchsorted(found.frame, np.arange(len(times_s) + 1)).tolist()
+    edges = np.searchsorted(rows.frame, np.arange(len(times_s) + 1)).tolist()
     return [
-        SensedFrame(time_s, found.boxes_px[a:b].copy(), found.label[a:b].copy(), found.confidence[a:b].copy())
+        SensedFrame(time_s, rows.boxes_px[a:b].copy(), rows.label[a:b].copy(), rows.confidence[a:b].copy())
         for time_s, (a, b) in zip(times_s.tolist(), pairwise(edges), strict=True)
     ]
 

@@ -158,7 +158,7 @@ class FrameValues:
 def check_frame(
     drawing: Drawing,
     renderer: IdRenderer,
-    said: FrameValues,
+    claims: FrameValues,
     boxed: Set[int],
     names: Sequence[str],
     *,
@@ -167,9 +167,9 @@ def check_frame(
     """Draw a frame and compare it with what is said of it. `boxed` are the indices of the vessels that get a box if
     they are in the image, `names` those of the scene's occluders; with `whole`, the whole image is drawn, not only the
     rectangle around all vessels. Raises Difference if they differ by more than ties."""
-    row_of = {vessel: row for row, vessel in enumerate(said.truth.vessel.tolist())}
+    row_of = {vessel: row for row, vessel in enumerate(claims.truth.vessel.tolist())}
     vessels = sorted({*row_of, *(boxed & drawing.boxes_px.keys())})
-    checks = [_VesselPixels(drawing, said, vessel, row_of.get(vessel), names) for vessel in vessels]
+    checks = [_VesselPixels(drawing, claims, vessel, row_of.get(vessel), names) for vessel in vessels]
     for tile in tiles_of(drawing.image if whole else drawing.region(*vessels)):
         seen = drawing.ids(renderer, tile)
         for pixels in checks:
@@ -193,13 +193,18 @@ def _look_beside(checks: Sequence[_VesselPixels], seen: Ids, tile: Region) -> No
 class _VesselPixels:
     """The pixels of a vessel in a frame, compared tile by tile; `row` is its row of the truth, None if it has none."""
 
-    def __init__(self, drawing: Drawing, said: FrameValues, vessel: int, row: int | None, names: Sequence[str]) -> None:
+    def __init__(
+        self, drawing: Drawing, claims: FrameValues, vessel: int, row: int | None, names: Sequence[str]
+    ) -> None:
         self.drawing, self.alone, self.vessel, self.row, self.names = drawing, drawing.only(vessel), vessel, row, names
-        self.said, ss = said, drawing.supersample
-        self.spans = [spans.take(spans.row == vessel) for spans in (said.silhouettes, said.visible)]
+        self.claims, ss = claims, drawing.supersample
+        self.spans = [spans.take(spans.row == vessel) for spans in (claims.silhouettes, claims.visible)]
         self.full_box, self.visible_box = np.full((2, 4), np.nan)
         if row is not None:
-            self.full_box, self.visible_box = said.truth.full_boxes_px[row] * ss, said.truth.visible_boxes_px[row] * ss
+            self.full_box, self.visible_box = (
+                claims.truth.full_boxes_px[row] * ss,
+                claims.truth.visible_boxes_px[row] * ss,
+            )
         self.corners = drawing.boxes_px.get(vessel, self.full_box)
         low, high = np.fmin(self.corners, self.full_box)[:2], np.fmax(self.corners, self.full_box)[2:]
         self.region = Region.around(np.concatenate([low, high]), drawing.size_px, MARGIN_PX)
@@ -220,8 +225,8 @@ class _VesselPixels:
         ids = self.part(seen, tile, region)
         alone = self.alone.ids(renderer, region) > 0
         shown = alone & ((ids == self.vessel + 1) | (ids == 0))
-        saids = [mask_of(spans, region) for spans in self.spans]
-        kinds = ("silhouette", self.alone, saids[0], alone), ("visible", self.drawing, saids[1], shown)
+        masks = [mask_of(spans, region) for spans in self.spans]
+        kinds = ("silhouette", self.alone, masks[0], alone), ("visible", self.drawing, masks[1], shown)
         for which, (what, of, claim, drawn) in enumerate(kinds):
             self._compare(of, what, claim, drawn, region)
             if claim.any():
@@ -229,7 +234,7 @@ class _VesselPixels:
                 box = mask_box(claim, region)
                 self.boxes[which, :2] = np.minimum(self.boxes[which, :2], box[:2])
                 self.boxes[which, 2:] = np.maximum(self.boxes[which, 2:], box[2:])
-        y, x = np.nonzero((alone & ~shown) | (saids[0] & ~saids[1]))
+        y, x = np.nonzero((alone & ~shown) | (masks[0] & ~masks[1]))
         self.hidden.append(np.stack([y + region.y, x + region.x]))
         if (hidden := alone & ~shown).any():
             counts = np.bincount(ids[hidden])
@@ -254,7 +259,7 @@ class _VesselPixels:
             if self.px[0]:
                 self.refuse("silhouette pixels", "no row", f"{self.px[0] / self.drawing.supersample**2:g}")
             return CheckCounts()
-        truth, ss = self.said.truth, self.drawing.supersample
+        truth, ss = self.claims.truth, self.drawing.supersample
         silhouette = "silhouette", truth.silhouette_px[self.row], self.full_box
         visible = "visible", truth.visible_px[self.row], self.visible_box
         for which, (what, px, box) in enumerate((silhouette, visible)):
@@ -284,7 +289,7 @@ class _VesselPixels:
 
     def _compare_annotated(self, truth: Truth, row: int) -> None:
         """Compare the visible fraction, and what the annotation keeps, with what follows from the pixels."""
-        fraction, rule = self.px[1] / self.px[0] if self.px[0] else np.nan, self.said.annotation
+        fraction, rule = self.px[1] / self.px[0] if self.px[0] else np.nan, self.claims.annotation
         if not np.isclose(truth.visible_fraction[row], fraction, rtol=1e-9, atol=0, equal_nan=True):
             self.refuse("visible fraction", f"{truth.visible_fraction[row]:g}", f"{fraction:g}")
         if rule is None:
@@ -309,10 +314,10 @@ class _VesselPixels:
         if beyond.max() > 0.5 + edge_px or (tip and not self.px[0]):
             ss = self.drawing.supersample
             self.refuse("full box", _in_words(self.full_box / ss), f"{_in_words(self.corners / ss)} around the corners")
-        area, bound = self.said.areas.get(self.vessel, (np.nan, np.nan))
-        off, size = abs(self.said.truth.visible_px[self.row] - area), float(np.abs(beyond).max())
+        area, bound = self.claims.areas.get(self.vessel, (np.nan, np.nan))
+        off, size = abs(self.claims.truth.visible_px[self.row] - area), float(np.abs(beyond).max())
         if off > bound:
-            self.refuse("visible pixels", f"{self.said.truth.visible_px[self.row]:g}", f"{area:g} px² by geometry")
+            self.refuse("visible pixels", f"{self.claims.truth.visible_px[self.row]:g}", f"{area:g} px² by geometry")
         return CheckCounts(
             pixels=self.px[0],
             tie_pixels=self.ties,

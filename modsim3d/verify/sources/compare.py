@@ -61,12 +61,14 @@ class FastPath:
                 try:
                     checked += check_frame(drawing, renderer, claims, vessels, names)
                     break
-                except Difference as each:
-                    own = claims.truth.vessel == each.vessel
-                    claims, vessels = replace(claims, truth=claims.truth.take(~own)), vessels - {each.vessel}
+                except Difference as clash:
+                    own = claims.truth.vessel == clash.vessel
+                    claims, vessels = replace(claims, truth=claims.truth.take(~own)), vessels - {clash.vessel}
                     missing += not own.any()
-                    row = self.outlines.boxed & (self.outlines.frame == frame) & (self.outlines.occluder == each.vessel)
-                    text = f"{each.what}: {each.truth} in the truth, {each.drawn} drawn"
+                    row = (
+                        self.outlines.boxed & (self.outlines.frame == frame) & (self.outlines.occluder == clash.vessel)
+                    )
+                    text = f"{clash.what}: {clash.truth} in the truth, {clash.drawn} drawn"
                     words |= dict.fromkeys(np.flatnonzero(row).tolist(), text)
         return checked, words, missing
 

@@ -217,13 +217,13 @@ class Sides:
     at_border: Mask  # whether the image's left or right border may cut it, (n,)
 
     @classmethod
-    def of(cls, sightings: FalseSightings, known: Annotations, images: int) -> Sides:
+    def of(cls, sightings: FalseSightings, vessels: Annotations, images: int) -> Sides:
         """Sides of false positives beside known vessels, in so many images."""
         centre, half = np.column_stack([sightings.along_px, sightings.depth_px]), sightings.sizes_px / 2
         boxes = sightings.boxes_px
         with np.errstate(invalid="ignore"):
             near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
-        sure: Mask = ~(np.concatenate([near, far], axis=1) | _covered_sides(sightings, known, images))
+        sure: Mask = ~(np.concatenate([near, far], axis=1) | _covered_sides(sightings, vessels, images))
         return cls(np.concatenate([centre - half, centre + half], axis=1), sure, near[:, 0] | far[:, 0])
 
 

@@ -53,7 +53,7 @@ def _hats(time_s: Array) -> Array:
 
 
 def fit_drift(
-    found: SightingResiduals, px: Array, first_px: Array, slopes_px: Array, own_px: Array, axes: Array, together: float
+    pairs: SightingResiduals, px: Array, first_px: Array, slopes_px: Array, own_px: Array, axes: Array, together: float
 ) -> Drift:
     """Fit p values of the camera, and where the vessels are. `px` (m,) are residuals with all vessels where their
     reports put them, and `first_px` what is left of them by the last fit. `slopes_px` (m, p) are derivatives by the
@@ -61,9 +61,9 @@ def fit_drift(
     `drift_axes`. `together` rows count as one."""
     axes_px = (own_px[:, :, None] * axes).sum(axis=1)
     errors, change, normals = first_px, np.zeros(slopes_px.shape[1]), np.zeros(axes_px.shape)
-    groups, p = list(clusters(found.vessel)), slopes_px.shape[1]
+    groups, p = list(clusters(pairs.vessel)), slopes_px.shape[1]
     for _ in range(ROUNDS):
-        spreads = found.spreads_px(errors)
+        spreads = pairs.spreads_px(errors)
         weights = (1 + (errors / spreads / SOFT) ** 2) ** -0.25 / spreads
         shared = axes_px * weights[:, None] / np.sqrt(together)
         rows = np.column_stack([slopes_px, px]) * weights[:, None]

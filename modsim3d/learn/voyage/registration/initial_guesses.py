@@ -58,9 +58,9 @@ class _Directions:
     width: Array
 
 
-def search(model: BoxModel, found: BoxesAtTimes, clocks_s: Array, most_turn_rad: float, most: int = 6) -> Search:
+def search(model: BoxModel, boxes: BoxesAtTimes, clocks_s: Array, most_turn_rad: float, most: int = 6) -> Search:
     """Vote over clock offsets, ascending, (c,), and turns of at most so much, π for all round, for `most` guesses."""
-    some = found.some(SEARCHED_FRAMES)
+    some = boxes.some(SEARCHED_FRAMES)
     lens = model.traffic.camera.intrinsics
     seen, mirrored = _directions(lens, some), _directions(lens, _mirrored(lens, some))
     tables = [_tables(model, some.times_s + clock, most_turn_rad) for clock in clocks_s]
@@ -155,18 +155,18 @@ _OTHERWISE = (
 )
 
 
-def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None:
+def check_times(model: BoxModel, boxes: BoxesAtTimes, searched_s: float) -> None:
     """Raise ModsimError if scene and detections have no time in common, or there are too few detections or vessels."""
-    if not len(found.frame):
+    if not len(boxes.frame):
         raise ModsimError("registration: there are no detections")
-    if len(found.frame) < MIN_MATCHES:
-        raise ModsimError(f"registration: too little to go by: {counted(len(found.frame), 'detection')}, and {_NEEDED}")
+    if len(boxes.frame) < MIN_MATCHES:
+        raise ModsimError(f"registration: too little to go by: {counted(len(boxes.frame), 'detection')}, and {_NEEDED}")
     others = int(model.traffic.present.any(axis=0).sum()) - (model.traffic.carrier is not None)
     if others < MIN_VESSELS:
         reason = f"the scene has {counted(others, 'vessel')} for the camera to see"
         raise ModsimError(f"registration: {reason}; at least {MIN_VESSELS} are needed")
     low, high = model.traffic.span_s
-    first, last = found.times_s[[0, -1]]
+    first, last = boxes.times_s[[0, -1]]
     if last + searched_s < low or first - searched_s > high:
         apart = first - high if first > high else last - low
         raise ModsimError(
@@ -176,13 +176,13 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
         )
 
 
-def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: Array, scene: Scene) -> None:
+def check_search(voted: Search, model: BoxModel, boxes: BoxesAtTimes, clocks_s: Array, scene: Scene) -> None:
     """Raise ModsimError, with what else would explain detections, if the best guess explains no more than chance."""
-    _check_bearings(model, found.boxes_px, "detections")
+    _check_bearings(model, boxes.boxes_px, "detections")
     best = voted.guesses[0].votes if voted.guesses else 0
     if best > OVER_CHANCE * voted.chance and best >= MIN_SHARE * voted.searched:
         return
-    around = search(model, found, clocks_s[:: max(len(clocks_s) // 20, 1)], np.pi, 1)
+    around = search(model, boxes, clocks_s[:: max(len(clocks_s) // 20, 1)], np.pi, 1)
     most = around.guesses[0].votes if around.guesses else 0
     if most > OVER_CHANCE * around.chance and most >= MIN_SHARE * around.searched and most > 2 * best:
         turn = around.guesses[0].yaw_deg

@@ -123,16 +123,16 @@ def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
     filled = places_m.copy()
     for vessel in np.flatnonzero(present.any(axis=0)).tolist():
         steps = np.flatnonzero(present[:, vessel])
-        known_s, path = times_s[steps], places_m[steps, vessel]
+        path_s, path = times_s[steps], places_m[steps, vessel]
         path[:, 3] = filled[steps, vessel, 3] = np.unwrap(path[:, 3])
-        columns = [np.interp(times_s, known_s, column) for column in path.T]
+        columns = [np.interp(times_s, path_s, column) for column in path.T]
         absent = np.flatnonzero(~present[:, vessel])
         filled[absent, vessel] = np.stack(columns, axis=-1)[absent]
         if len(steps) > 1:
             for edge, inner, beyond in ((0, 1, absent < steps[0]), (-1, -2, absent > steps[-1])):
-                speed = (path[edge, :2] - path[inner, :2]) / (known_s[edge] - known_s[inner])
+                speed = (path[edge, :2] - path[inner, :2]) / (path_s[edge] - path_s[inner])
                 rows = absent[beyond]
-                filled[rows, vessel, :2] += (times_s[rows] - known_s[edge])[:, None] * speed
+                filled[rows, vessel, :2] += (times_s[rows] - path_s[edge])[:, None] * speed
     return filled
 
 

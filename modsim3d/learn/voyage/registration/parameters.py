@@ -306,10 +306,10 @@ def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:
     return np.clip(degrees, 1.0, MAX_DEGREES)
 
 
-def covering(known: Knowledge, others: Sequence[Array]) -> Knowledge:
+def covering(knowledge: Knowledge, others: Sequence[Array]) -> Knowledge:
     """Intervals that also hold those about other values, which are so far from these, each of shape (p,)."""
     away = np.max(np.abs(others), axis=0, initial=0.0) if len(others) else 0.0
-    return replace(known, half_widths=known.half_widths + away)
+    return replace(knowledge, half_widths=knowledge.half_widths + away)
 
 
 def clusters(cluster: Indices) -> Iterator[Indices]:
@@ -364,10 +364,10 @@ def undetermined(linear: Linear, names: tuple[str, ...], cluster: Indices) -> li
     return groups
 
 
-def directions(linear: Linear, known: Knowledge) -> tuple[Array, Array]:
+def directions(linear: Linear, knowledge: Knowledge) -> tuple[Array, Array]:
     """Right singular vectors of the scaled Jacobian, shape (p, p), and the standard errors along them, shape (p,)."""
     _, singular, turn = np.linalg.svd(np.linalg.qr(linear.slopes)[1])
-    errors = np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", turn, known.covariance, turn), 0.0))
+    errors = np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", turn, knowledge.covariance, turn), 0.0))
     return turn, np.maximum(errors, 1 / np.maximum(singular, 1e-12))
 
 

@@ -95,7 +95,7 @@ NORMAL = 1.96
 def register(
     scene: Scene,
     camera: str,
-    found: BoxesAtTimes,
+    boxes: BoxesAtTimes,
     *,
     fixed: Sequence[str] = (),
     mean_errors: Sequence[float | None] = (None, None, None, None),
@@ -121,8 +121,8 @@ def register(
     if scene.live:
         raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
     model = BoxModel.of(scene, KnownTraffic.of(scene, eye, attitude))
-    check_times(model, found, searched_s)
-    given = _corrected(found, np.array([value or 0.0 for value in mean_errors]))
+    check_times(model, boxes, searched_s)
+    given = _corrected(boxes, np.array([value or 0.0 for value in mean_errors]))
     known_means = {name: value for name, value in zip(_MEANS, mean_errors, strict=True) if value is not None}
     free = _free_names([*fixed, *BY_RULE, *known_means, *(() if use_sizes else _SIZES)])
     hiding = HidingBodies.of(scene, model)
@@ -151,7 +151,7 @@ def register(
     aligned = estimated.aligned
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
-    return _registration(camera, model, aligned, free, bounds, known_means, rules, groups, vessels, len(found.frame))
+    return _registration(camera, model, aligned, free, bounds, known_means, rules, groups, vessels, len(boxes.frame))
 
 
 _MEANS = tuple(parameter.name for parameter in parameters.MEAN_ERRORS)
