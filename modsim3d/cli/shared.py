@@ -19,7 +19,7 @@ import typer
 
 from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, say
 from modsim3d.io.input_files import data_folder
-from modsim3d.io.operating_system import signals
+from modsim3d.io.operating_system import POSIX, signals
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -286,7 +286,7 @@ def interrupt_again(dropped: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(dropped)
         return
     number = dropped.exc_value.status - SIGNALED if isinstance(dropped.exc_value, Stopped) else signal.SIGINT
-    send = partial(os.kill, os.getpid()) if os.name == "posix" else signal.raise_signal
+    send = partial(os.kill, os.getpid()) if POSIX else signal.raise_signal
     threading.Timer(0.01, send, (number,)).start()  # a moment later the finaliser has ended
 
 

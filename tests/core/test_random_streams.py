@@ -241,7 +241,7 @@ Sort is best.
 def test_pages_terminals_and_notebooks_have_what_is_for_them_and_no_heading_of_nothing():
     page = document_page(DOCUMENT, Provenance("a page", "a test", ()))
     for part in ("Two &lt;trackers&gt;", ">Scores</h2>", ">Curves</h2>", "<svg>", "lost &amp; never found",
-                 "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
+                 "HOTA", "<summary>pressed</summary>", "30\u00a0%", "background: color-mix"):  # fmt: skip
         assert part in page
     assert "Nothing here" not in page and "only printed" not in page
     assert page.index("Sort is best.") < page.index("Scores")
