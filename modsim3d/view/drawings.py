@@ -220,7 +220,7 @@ def _request(
         raise ModsimError(f"--kind {kind}: needs one of {', '.join((*KINDS, 'id_buffer'))}")
     _check_width(width)
     names = tuple(name.strip() for name in layers.split(",")) if isinstance(layers, str) else layers
-    part = crop if crop is None or isinstance(crop, str) else ",".join(f"{each:g}" for each in crop)
+    part = crop if crop is None or isinstance(crop, str) else ",".join(f"{number:g}" for number in crop)
     return PictureRequest(kind, names, part, width, None if look is None else parse_look(look), tracks is not None)
 
 

@@ -284,9 +284,9 @@ def ground_velocities(scene: Scene, step: int) -> Array:
     first, stop = scene.motion.with_neighbours(np.array([step]))
     poses = scene.poses.poses(first, stop)
     calm_m = poses.positions_m * (1.0, 1.0, 0.0)
-    found = velocities(scene.times_s(first, stop), calm_m, poses.present)[step - first, :, :2]
-    known = poses.present[step - first] & (poses.present.sum(axis=0) > 1)
-    return np.where(known[:, None], found, np.nan)
+    vectors = velocities(scene.times_s(first, stop), calm_m, poses.present)[step - first, :, :2]
+    valid = poses.present[step - first] & (poses.present.sum(axis=0) > 1)
+    return np.where(valid[:, None], vectors, np.nan)
 
 
 def ground_speeds(scene: Scene, step: int) -> Array:

@@ -108,7 +108,7 @@ class BirdsEye:
         reach, near = max(REACH * span, REACH_M), max(NEAR * span, NEAR_M)
         cameras = [at for at in self.ashore_m if np.all((low - reach <= at) & (at <= high + reach))]
         shown = shapely.box(*(low - near), *(high + near))
-        low, high = _bounds([np.array([low, high]), *cameras, *_corners(each & shown for each in self.land)])
+        low, high = _bounds([np.array([low, high]), *cameras, *_corners(shape & shown for shape in self.land)])
         middle, size = (low + high) / 2, (high - low) * (1 + 2 * MARGIN)
         size = np.maximum(size, [size[1] * MIN_ASPECT, size[0] / MAX_ASPECT])
         (x0, y0), (x1, y1) = (middle - size / 2).tolist(), (middle + size / 2).tolist()
@@ -185,9 +185,9 @@ class MapSheet:
 
     def once(self, text: str) -> str:
         """A label for the legend, for the first of its kind only."""
-        said = text in self._explained
+        repeat = text in self._explained
         self._explained.add(text)
-        return "_" if said else text
+        return "_" if repeat else text
 
     def line(self, points: Array, *, moves: bool = False, **keys: Any) -> Line2D:
         """A line through points, shape (n, 2)."""

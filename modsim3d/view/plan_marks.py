@@ -58,8 +58,8 @@ class PlanMarks:
         put(self._vectors, [ends[index] for index in present], colours)
         own = [index for index in scene.own_ships if index in present][:1]
         pairs = [(*own, other) for other in present if other not in own] if own and self._approaches else []
-        found = [(*_approach(here[[*pair]], velocities_m_s[[*pair]]), pair[1]) for pair in pairs]
-        nearest = sorted((each for each in found if 0 < each[1] <= VECTOR_S), key=lambda each: each[0])[:MAX_APPROACHES]
+        cpas = [(*_approach(here[[*pair]], velocities_m_s[[*pair]]), pair[1]) for pair in pairs]
+        nearest = sorted((cpa for cpa in cpas if 0 < cpa[1] <= VECTOR_S), key=lambda cpa: cpa[0])[:MAX_APPROACHES]
         put(self._approaches, [line for _, _, line, _ in nearest])
         for distance_m, after_s, line, other in nearest:
             name, short = scene.vessel_names[other], f"CPA {distance_m:.0f} m in {after_s / 60:.1f} min"
@@ -68,9 +68,9 @@ class PlanMarks:
         x0, x1, y0, y1 = self._sheet.birds_eye.extent_m
         reach = np.linspace(0, np.hypot(x1 - x0, y1 - y0), 200)[:, None]
         for lines, of_tracks in ((self._detections, False), (self._tracks, True)):
-            some = [each for each in moment.bearings if (each.track is not None) == of_tracks]
-            rays = [each.at_m + reach * each.direction for each in some]
-            put(lines, [ray[[0, -1]] for ray in rays], [each.colour for each in some])
+            some = [bearing for bearing in moment.bearings if (bearing.track is not None) == of_tracks]
+            rays = [bearing.at_m + reach * bearing.direction for bearing in some]
+            put(lines, [ray[[0, -1]] for ray in rays], [bearing.colour for bearing in some])
             for bearing, ray in zip(some, rays, strict=True) if of_tracks and lines else ():
                 inside = ray[((ray > (x0, y0)) & (ray < (x1, y1))).all(axis=1)]
                 if len(inside) and (name_there := next(names, None)):
@@ -121,10 +121,10 @@ class WorldTrackMarks:
         apart = np.linalg.norm(at[:, None] - here, axis=2)
         own_ships = moment.birds_eye.scene.own_ships
         return [
-            palette.vessel_colour(int(present[each.argmin()]), own_ships)
-            if each.min(initial=np.inf) <= DEFAULT_GATE_M
+            palette.vessel_colour(int(present[distances.argmin()]), own_ships)
+            if distances.min(initial=np.inf) <= DEFAULT_GATE_M
             else palette.ALARM
-            for each in apart
+            for distances in apart
         ]
 
     def _trail(self, row: int) -> Array:
@@ -140,8 +140,8 @@ class WorldTrackMarks:
 def _ellipses(covariances_m2: Array) -> Array:
     """The ellipses of 95 % of plane normal distributions about their means, (n, 2, 2) to (n, 49, 2); mere points where
     the covariance is unknown."""
-    known = np.asarray(np.isfinite(covariances_m2).all(axis=(1, 2)))
-    variances, axes = np.linalg.eigh(np.where(known[:, None, None], covariances_m2, 0.0))
+    finite = np.asarray(np.isfinite(covariances_m2).all(axis=(1, 2)))
+    variances, axes = np.linalg.eigh(np.where(finite[:, None, None], covariances_m2, 0.0))
     angles = np.linspace(0, 2 * np.pi, 49)
     unit = np.column_stack([np.cos(angles), np.sin(angles)])
     sides = np.sqrt(-2 * np.log(1 - 0.95) * np.maximum(variances, 0))

@@ -134,8 +134,8 @@ class BoxRecorder:
         rows, columns, outcome = self.rows, self._columns, self.rows.outcomes[drawn]
         false, boxes_px, tags = having(outcome, Outcome.FALSE_POSITIVE), columns.drawn_px[drawn], columns.tags[drawn]
         own = self.log.scene.own_ships
-        found = zip(rows.detection_vessel[drawn].tolist(), false.tolist(), strict=True)
-        colours = [palette.ALARM if is_false else palette.vessel_colour(source, own) for source, is_false in found]
+        pairs = zip(rows.detection_vessel[drawn].tolist(), false.tolist(), strict=True)
+        colours = [palette.ALARM if is_false else palette.vessel_colour(source, own) for source, is_false in pairs]
         self._boxes(camera, "detections", boxes_px, colours, tags)
         self._named(camera, FALSE, boxes_px[false], [tags[i] for i in np.flatnonzero(false)])
         lines = columns.tethers[drawn][having(outcome, Outcome.OFF_VESSEL)]
@@ -164,7 +164,7 @@ class BoxRecorder:
 
     def _named(self, camera: str, name: str, boxes_px: Any, tags: list[str]) -> None:
         """Log thick boxes in the colour of what went wrong, with those of their texts that lie on no other."""
-        size = next(each.intrinsics.image_size_px for each in self.log.scene.cameras if each.name == camera)
+        size = next(entry.intrinsics.image_size_px for entry in self.log.scene.cameras if entry.name == camera)
         for i, (x0, _, x1, y1) in enumerate(boxes_px.tolist()):
             place = np.array([(x0 + x1) / 2, y1]) / size
             if any((np.abs(place - taken) < TEXT).all() for taken in self._texts):
@@ -202,11 +202,11 @@ class BoxColumns:
         """The columns of a run."""
         names, missed, drawn_px = rows.scene.vessel_names, rows.annotated & ~rows.detected, rows.detection_boxes_px()
         lost = zip(rows.truth_vessel.tolist(), missed.tolist(), strict=True)
-        known = rows.detected_row != NOBODY
+        true = rows.detected_row != NOBODY
         tethers = np.full((len(drawn_px), 2, 2), np.nan)
-        low, high = np.split(rows.annotated_boxes_px[rows.detected_row[known]], 2, axis=1)
-        tethers[known, 0] = centres(drawn_px[known])
-        tethers[known, 1] = np.clip(tethers[known, 0], low, high)
+        low, high = np.split(rows.annotated_boxes_px[rows.detected_row[true]], 2, axis=1)
+        tethers[true, 0] = centres(drawn_px[true])
+        tethers[true, 1] = np.clip(tethers[true, 0], low, high)
         truth_tags = [f"{names[vessel]} missed" if is_missed else names[vessel] for vessel, is_missed in lost]
         return cls(rows, missed, truth_tags, rows.boxes_px("full"), drawn_px, _detection_tags(rows), tethers)
 
@@ -257,9 +257,9 @@ def first_eye(log: Log) -> Eye:
     scene = log.scene
     poses = scene.poses.poses(0, 1)
     at, looks = view_of(scene, scene.cameras[0], 0)
-    there = poses.positions_m[0, poses.present[0], :2]
-    distance = np.linalg.norm(there - at, axis=1)
-    near = there[distance <= np.quantile(distance, NEAR_SHARE)] if len(there) else there
+    places = poses.positions_m[0, poses.present[0], :2]
+    distance = np.linalg.norm(places - at, axis=1)
+    near = places[distance <= np.quantile(distance, NEAR_SHARE)] if len(places) else places
     points = np.vstack([at, near])
     middle, span = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 50.0)
     ahead = looks[len(looks) // 2] if looks[len(looks) // 2].any() else np.array([1.0, 0.0])

@@ -131,7 +131,7 @@ class ViewOutlines:
 
     def key(self) -> bytes:
         """Key that is equal for what looks the same."""
-        rings = ((each.occluder, ring.tobytes()) for each in self.silhouettes for ring in each.rings_px)
+        rings = ((shape.occluder, ring.tobytes()) for shape in self.silhouettes for ring in shape.rings_px)
         return repr((self.half_plane.tobytes(), *rings)).encode()
 
 
@@ -152,21 +152,21 @@ class Pictures:
 
     def show(self, steps: Indices) -> None:
         """Log what the cameras see at some steps, shape (n,), where it differs from what they saw before."""
-        for each in seen_at(self.rows, steps):
-            now = each.key()
-            if self._last.get(each.camera.name) != now:
-                self._last[each.camera.name] = now
-                self.log.at(each.step)
-                self._put(each)
+        for view in seen_at(self.rows, steps):
+            now = view.key()
+            if self._last.get(view.camera.name) != now:
+                self._last[view.camera.name] = now
+                self.log.at(view.step)
+                self._put(view)
 
     def _put(self, seen: ViewOutlines) -> None:
         sdk, path, scene = self.log.sdk, rerun_boxes.image_path(seen.camera.name), self.log.scene
         thin = self.log.half_width(rerun_boxes.THIN_PT)
-        owners = [each.occluder for each in seen.silhouettes for _ in each.rings_px]
+        owners = [shape.occluder for shape in seen.silhouettes for _ in shape.rings_px]
         obstacles = [obstacle.name for obstacle in scene.obstacles]
         colours = palette.owner_colours(len(scene.vessels), obstacles, scene.own_ships)
         lines = sdk.LineStrips2D(
-            [ring for each in seen.silhouettes for ring in simple(each.rings_px, 0.5 / picture_scale(seen.camera))],
+            [ring for shape in seen.silhouettes for ring in simple(shape.rings_px, 0.5 / picture_scale(seen.camera))],
             colors=[palette.darker(colours[owner], EDGE) for owner in owners],
             labels=[scene.occluder_names[owner] for owner in owners],
             show_labels=False,
@@ -231,8 +231,8 @@ def paint(seen: ViewOutlines) -> Image.Image:
     sea = below_horizon(frame, frame / scale, seen.half_plane)
     if len(sea):
         fill(picture, [sea], SEA)
-    for each in seen.silhouettes:
-        fill(picture, [ring * scale for ring in each.rings_px], FIRST + each.occluder % MAX_COLOURS)
+    for shape in seen.silhouettes:
+        fill(picture, [ring * scale for ring in shape.rings_px], FIRST + shape.occluder % MAX_COLOURS)
     return picture
 
 

@@ -36,10 +36,10 @@ class SceneCheck(Result):
     map: Path | None
 
     def _document(self) -> Document:
-        found = counted(len(self.warnings), "warning") if self.warnings else "no problems found"
+        verdict = counted(len(self.warnings), "warning") if self.warnings else "no problems found"
         parts = ("vessels", self.vessel_types), ("camera", self.cameras), ("warning", self.warnings)
-        rows = [(name, str(each)) for name, part in parts for each in part]
-        return Document("", [Text(found, "lead", Where.EVERYWHERE)], [Table("", (), rows, where=Where.EVERYWHERE)])
+        rows = [(name, str(entry)) for name, part in parts for entry in part]
+        return Document("", [Text(verdict, "lead", Where.EVERYWHERE)], [Table("", (), rows, where=Where.EVERYWHERE)])
 
 
 def check_scene(scene: Scene | StrPath, out: StrPath | None = None, *, overwrite: bool = False) -> SceneCheck:
@@ -62,8 +62,8 @@ def check_scene(scene: Scene | StrPath, out: StrPath | None = None, *, overwrite
     path = None if out is None else out_file(out, Path(f"{scene.name}.png"))
     if path is not None:
         if scene.live:
-            said = "poses come in live, so nobody knows yet where vessels are: draw a run with view map"
-            raise ModsimError(f"--map: {said}")
+            reason = "poses come in live, so nobody knows yet where vessels are: draw a run with view map"
+            raise ModsimError(f"--map: {reason}")
         check_map(path)
         with claimed([path], overwrite=overwrite, inputs=scene.copy.read):
             save_map(BirdsEye(scene, scene.steps, tuple(range(len(scene.cameras)))), 0, path, WIDTH_PX)

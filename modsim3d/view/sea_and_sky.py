@@ -181,8 +181,8 @@ def _through_lens(intrinsics: Intrinsics, columns: Array, rows: Array) -> Array:
     x = np.linspace(0, width, max(4, width // GRID_PX))
     y = np.linspace(0, height, max(4, height // GRID_PX))
     grid = intrinsics.unproject(np.stack(np.meshgrid(x, y), axis=-1), np.ones((len(y), len(x))))
-    found = [RectBivariateSpline(y, x, grid[..., axis])(rows, columns) for axis in (0, 1)]
-    return np.stack([*found, np.ones_like(found[0])], axis=-1)
+    coords = [RectBivariateSpline(y, x, grid[..., axis])(rows, columns) for axis in (0, 1)]
+    return np.stack([*coords, np.ones_like(coords[0])], axis=-1)
 
 
 class Backdrop:
@@ -328,7 +328,7 @@ def wave_slopes(sea: Sea, time_s: float, position_m: Array) -> Floats:
     numbers, side = sea.wave_numbers_rad_m, math.isqrt(WAVE_SAMPLES)
     phases = sea.phases_at(np.array([time_s]), position_m[None])[0]
     out = np.empty((WAVE_LEVELS, WAVE_SAMPLES), np.float32)
-    fine, coarse = (np.exp(1j * np.outer(np.arange(side) * WAVE_M * each, numbers)) for each in (1, side))
+    fine, coarse = (np.exp(1j * np.outer(np.arange(side) * WAVE_M * stride, numbers)) for stride in (1, side))
     first = coarse[side // 2].conj()  # from the middle to the first sample
     for level in range(WAVE_LEVELS):
         strength = numbers * sea.amplitudes_m * np.exp(-((numbers * WAVE_M * 2.0 ** (level - 1)) ** 2))

@@ -212,12 +212,12 @@ class ShadedPictureRenderer:
         poses = solids.sight.camera_poses
         pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
         key = solids.camera.name, solids.intrinsics, window
-        known = self._grounds.get(key)
-        if known is None or not np.array_equal(known.pose, pose):
+        ground = self._grounds.get(key)
+        if ground is None or not np.array_equal(ground.pose, pose):
             focal_px, place = solids.intrinsics.focal_px[0] * window.scale, poses.positions_m[0]
             behind = Backdrop(rays, poses.camera_R_world[0], place, focal_px, self.style, self.style.sea(solids.waves))
-            known = self._grounds[key] = _Ground(pose, behind)
-        return known
+            ground = self._grounds[key] = _Ground(pose, behind)
+        return ground
 
     def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> LitPicture:
         to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])

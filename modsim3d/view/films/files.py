@@ -143,24 +143,24 @@ def _write_mp4(path: Path, partial: Path, frames: Frames, rate: Fraction) -> Non
 
     logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # what it warns of is an error here
     sent = 0
-    with TemporaryFile() as said:
+    with TemporaryFile() as errors:
         with imageio.v2.get_writer(partial, format="FFMPEG", **_ffmpeg_options(rate)) as encoder:
             for frame, repeats in frames:
                 picture = np.frombuffer(frame.data, dtype=np.uint8).reshape(frame.size[1], frame.size[0], 3)
                 for _ in range(repeats):
                     try:
-                        with _errors_into(said) if sent == 0 else nullcontext():
+                        with _errors_into(errors) if sent == 0 else nullcontext():
                             encoder.append_data(picture)
                     except OSError:
-                        raise _failure(path, partial, said, "ffmpeg ended before the film did") from None
+                        raise _failure(path, partial, errors, "ffmpeg ended before the film did") from None
                     sent += 1
         try:
             written, _ = imageio_ffmpeg.count_frames_and_secs(str(partial))
         except RuntimeError:
             written = 0
-        said.seek(0)
-        if written != sent or b"Error" in said.read():
-            raise _failure(path, partial, said, f"it has {written} of {sent} pictures")
+        errors.seek(0)
+        if written != sent or b"Error" in errors.read():
+            raise _failure(path, partial, errors, f"it has {written} of {sent} pictures")
 
 
 def _ffmpeg_options(rate: Fraction) -> dict[str, Any]:
@@ -177,19 +177,19 @@ def _ffmpeg_options(rate: Fraction) -> dict[str, Any]:
 @contextmanager
 def _errors_into(file: IO[bytes]) -> Iterator[None]:
     """Give a process that starts now a file as its standard error, for which the plugin has no option."""
-    ours = os.dup(2)
+    stderr = os.dup(2)
     os.dup2(file.fileno(), 2)
     try:
         yield
     finally:
-        os.dup2(ours, 2)
-        os.close(ours)
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
-def _failure(path: Path, partial: Path, said: IO[bytes], otherwise: str) -> ModsimError:
+def _failure(path: Path, partial: Path, errors: IO[bytes], otherwise: str) -> ModsimError:
     """The last thing that ffmpeg said about a film, or another reason if it said nothing."""
-    said.seek(0)
-    lines = said.read().decode(errors="replace").strip().splitlines()
+    errors.seek(0)
+    lines = errors.read().decode(errors="replace").strip().splitlines()
     reason = lines[-1].replace(str(partial), str(path)) if lines else otherwise
     return ModsimError(f"{path} could not be encoded: {reason}")
 

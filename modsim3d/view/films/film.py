@@ -93,7 +93,7 @@ def _pieces(selection: Selection, steps: set[int]) -> Iterator[list[StepFrames]]
     while piece := list(islice(chosen, STEPS_TOGETHER)):
         # A worker has the scene, which may be large.
         yield [
-            replace(each, frames=tuple(frame and replace(frame, scene=None) for frame in each.frames)) for each in piece
+            replace(step, frames=tuple(frame and replace(frame, scene=None) for frame in step.frames)) for step in piece
         ]
 
 

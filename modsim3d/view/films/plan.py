@@ -269,7 +269,7 @@ def vessels_in(selection: Selection, crops_px: Sequence[Box | None] = ()) -> tup
     A vessel that carries a camera counts if it has a mesh, since its bow may be seen."""
     scene = selection.run.scene
     carriers = {scene.cameras[index].mount.vessel for index in selection.cameras}
-    found = {index for index, vessel in enumerate(scene.vessels) if vessel.name in carriers and vessel.has_mesh}
+    indices = {index for index, vessel in enumerate(scene.vessels) if vessel.name in carriers and vessel.has_mesh}
     numbers = {name: index for index, name in enumerate(scene.vessel_names)}
     crops = crops_px or (None,) * len(selection.cameras)
     for step in selection.step_frames():
@@ -277,22 +277,22 @@ def vessels_in(selection: Selection, crops_px: Sequence[Box | None] = ()) -> tup
             if frame is not None:
                 shown = np.array(crop or (0.0, 0.0, *frame.image_size_px))
                 inside = intersections(frame.truth.full_boxes_px, shown) > 0
-                found |= {numbers[frame.truth.vessels[row]] for row in np.flatnonzero(inside)}
-    return tuple(sorted(found))
+                indices |= {numbers[frame.truth.vessels[row]] for row in np.flatnonzero(inside)}
+    return tuple(sorted(indices))
 
 
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     """The part of each camera's image in which vessels and their detections are, over all steps."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
     for step in selection.step_frames():
-        for found, frame in zip(boxes, step.frames, strict=True):
+        for parts, frame in zip(boxes, step.frames, strict=True):
             if frame is not None:
                 true = [vessel is not None for vessel in frame.detections.vessels]
-                found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
+                parts += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
     scene = selection.run.scene
     return tuple(
-        part_around(np.concatenate(found), scene.cameras[index].intrinsics.image_size_px)
-        for index, found in zip(selection.cameras, boxes, strict=True)
+        part_around(np.concatenate(parts), scene.cameras[index].intrinsics.image_size_px)
+        for index, parts in zip(selection.cameras, boxes, strict=True)
     )
 
 

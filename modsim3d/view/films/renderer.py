@@ -44,7 +44,7 @@ class MapFilmRenderer:
         self.map.show(0)
         axes, moving = self.map.sheet.axes, {*self.map.sheet.moving} - {self.map.sheet.axes.title}
         lowest = min(artist.zorder for artist in moving)
-        above = [each for each in axes.get_children() if each is not axes.patch and each.zorder >= lowest]
+        above = [artist for artist in axes.get_children() if artist is not axes.patch and artist.zorder >= lowest]
         self._above = [*sorted(above, key=attrgetter("zorder")), *[axes.title][: axes.title.zorder < lowest]]
         for artist in self._above:
             artist.set_animated(True)  # the figure leaves them out
@@ -64,16 +64,16 @@ class MapFilmRenderer:
 
 def bearings_of(scene: Scene, frames: Iterable[Frame | None], followed: FollowedTracks | None) -> list[Bearing]:
     """The bearings of all detections and tracks in frames."""
-    found = []
+    bearings = []
     for frame in filter(None, frames):
         view = CameraView.of(scene, frame, FrameTracks.of(followed, scene, frame))
         detections, tracks = view.frame.detections, view.tracks
         for box_px, vessel in zip(detections.boxes_px, detections.vessels, strict=True):
-            found.append(Bearing.of(view.solids, box_px, palette.ALARM if vessel is None else view.colour(vessel)))
+            bearings.append(Bearing.of(view.solids, box_px, palette.ALARM if vessel is None else view.colour(vessel)))
         for box_px, vessel, track in zip(tracks.boxes_px, tracks.vessel.tolist(), tracks.number.tolist(), strict=True):
             colour = palette.ALARM if vessel == NOBODY else view.colour(view.vessels[vessel])
-            found.append(Bearing.of(view.solids, box_px, colour, track))
-    return found
+            bearings.append(Bearing.of(view.solids, box_px, colour, track))
+    return bearings
 
 
 class FilmRenderer:

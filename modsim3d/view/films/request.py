@@ -33,11 +33,11 @@ def parse_look(text: str) -> RenderStyle:
         visibilities = [float(fog) for fog in fogs]
     except ValueError:
         visibilities = []
-    known = {"shaded", "plain", "clear", *SKIES, *(f"fog:{fog}" for fog in fogs)}
-    strange = next((word for word in words if word not in known), None)
+    terms = {"shaded", "plain", "clear", *SKIES, *(f"fog:{fog}" for fog in fogs)}
+    strange = next((word for word in words if word not in terms), None)
     apart = ({"shaded", "plain"}, {"dusk", "night"}, {"clear", "overcast"}, {"clear", "rain"})
     if strange or len(visibilities) != len(fogs) or len(fogs) > 1 or any(pair <= {*words} for pair in apart):
-        hint = f" ({nearest(strange, sorted(known))})" if strange else ""
+        hint = f" ({nearest(strange, sorted(terms))})" if strange else ""
         raise ModsimError(
             f"--look {text}: needs shaded or plain, clear or overcast, rain, dusk or night, fog:M with the "
             f"visibility in metres, as in night,fog:800{hint}"

@@ -111,11 +111,11 @@ def _vessels(traffic: AisTraffic) -> list[Block]:
         )
         for vessel in traffic.vessels
     ]
-    said = (
+    note = (
         "Ships report the place of their antenna; the scene has the centres of hulls, moved by what the table says. "
         "Where a size is guessed, it is that of a typical ship of the type, and the antenna is in the middle."
     )
-    return [Heading("Vessels in the scene"), Text(said), *_limited(rows, header)]
+    return [Heading("Vessels in the scene"), Text(note), *_limited(rows, header)]
 
 
 def _offset(vessel: VesselTrack) -> str:
@@ -171,11 +171,11 @@ def _jumps(traffic: AisTraffic) -> list[Block]:
     header = ("MMSI", "name", "seconds after the start", "w1, m", "w2, m", "off the track, m")
     rows = [row for vessel in traffic.vessels for row in _jump_rows(vessel)]
     limit = f"{traffic.options.max_speed_kn:g} kn"
-    said = (
+    note = (
         f"A position is removed if the vessel can reach it only faster than {limit} from the one before, or the next "
         "one from it. The map has crosses there. All other positions are used as they were reported."
     )
-    parts: list[Block] = [Heading("Positions removed as jumps"), Text(said)]
+    parts: list[Block] = [Heading("Positions removed as jumps"), Text(note)]
     return [*parts, *_limited(rows, header), Text("" if rows else "There are none.")]
 
 
@@ -191,7 +191,7 @@ def _jump_rows(vessel: VesselTrack) -> list[tuple[str, ...]]:
 
 def _times(traffic: AisTraffic) -> list[Block]:
     longest = f"{traffic.options.max_gap_s:g} s"
-    said = (
+    note = (
         "Between two reports a vessel follows the curve that fits their positions, speeds and courses, or a straight "
         f"line where these do not fit. Where they are more than {longest} apart it is absent."
     )
@@ -202,7 +202,7 @@ def _times(traffic: AisTraffic) -> list[Block]:
     rows = [_time_row(vessel, traffic) for vessel in traffic.vessels]
     shown = "" if len(rows) <= MAX_LANES else f", of the {MAX_LANES} vessels that are absent for longest"
     chart = presence_chart(traffic, f"When each vessel is in the scene{shown}. Dots are its reports.")
-    return [Heading("Between the reports"), Text(said), chart, *_limited(rows, header)]
+    return [Heading("Between the reports"), Text(note), chart, *_limited(rows, header)]
 
 
 def _time_row(vessel: VesselTrack, traffic: AisTraffic) -> tuple[str, ...]:
@@ -236,11 +236,11 @@ def _values(traffic: AisTraffic) -> list[Block]:
 
 
 def _how(traffic: AisTraffic) -> list[Block]:
-    said = (
+    note = (
         "The sea is flat: latitude and longitude became metres east (w1) and north (w2) of the origin on the plane "
         f"that touches the Earth there. The farthest position is {_farthest(traffic).partition(',')[0]}."
     )
-    return [Heading("From latitude and longitude to metres"), Text(said)]
+    return [Heading("From latitude and longitude to metres"), Text(note)]
 
 
 def _options(traffic: AisTraffic) -> list[tuple[str, str]]:

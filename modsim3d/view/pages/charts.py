@@ -269,9 +269,9 @@ def band(axes: Axes, x: Array, low: Array, high: Array, series: int) -> str:
     """The area between two lines over x, shape (n,) each."""
     px, top = axes.place(x, high)
     _, bottom = axes.place(x, low)
-    there = list(zip(px.tolist(), top.tolist(), strict=True))
+    upper_line = list(zip(px.tolist(), top.tolist(), strict=True))
     back = list(zip(px.tolist(), bottom.tolist(), strict=True))[::-1]
-    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in there + back)
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in upper_line + back)
     return f'<polygon points="{points}" fill="{colour_of(series)}" fill-opacity="0.16"/>'
 
 
@@ -297,10 +297,10 @@ class ChartInterval:
 
 def span_of(values: Sequence[float], pad: float = 0.08) -> tuple[float, float]:
     """A range that holds all values that are numbers, with some room at both ends."""
-    known = np.array([value for value in values if np.isfinite(value)])
-    if not len(known):
+    numbers = np.array([value for value in values if np.isfinite(value)])
+    if not len(numbers):
         return 0.0, 1.0
-    low, high = float(known.min()), float(known.max())
+    low, high = float(numbers.min()), float(numbers.max())
     room = pad * (high - low) or 0.05 * max(abs(low), 1e-3)
     return low - room, high + room
 
@@ -309,19 +309,19 @@ def forest(
     rows: Sequence[tuple[str, Sequence[ChartInterval]]], title: str, x_label: str, thresholds: Sequence[float] = ()
 ) -> str:
     """Named intervals, one below the other on one axis, with dashed lines at thresholds; `x_label` has the unit."""
-    values = [value for _, found in rows for each in found for value in (each.mean, each.low, each.high)]
+    values = [value for _, group in rows for bar in group for value in (bar.mean, bar.low, bar.high)]
     low, high = span_of([*values, *thresholds])
     left = 14 + _LETTER_PX * min(_MAX_NAME_LENGTH, max((len(name) for name, _ in rows), default=1))
     width, lane = max(430.0, left + 280), 15.0
     scale = (width - left - 14) / (high - low)
     top = y = 22.0
     parts = [f'<text x="4" y="11" font-weight="600">{html.escape(title)}</text>']
-    for name, found in rows:
-        height = lane * max(len(found), 1) + 6
+    for name, group in rows:
+        height = lane * max(len(group), 1) + 6
         parts.append(f'<line x1="4" x2="{width - 10:g}" y1="{y:g}" y2="{y:g}" stroke="var(--line)"/>')
         parts.append(f'<text x="{left - 8:.0f}" y="{y + height / 2 + 4:.1f}" text-anchor="end">{_cut(name)}</text>')
-        for place, each in enumerate(found):
-            parts.append(_lying(each, y + 3 + lane * (place + 0.5), lambda value: left + (value - low) * scale))
+        for place, bar in enumerate(group):
+            parts.append(_lying(bar, y + 3 + lane * (place + 0.5), lambda value: left + (value - low) * scale))
         y += height
     parts += [_dashed(left + (value - low) * scale, top, y) for value in thresholds]
     texts = [(f"{left + (value - low) * scale:.1f}", y + 14, "middle", f"{value:g}") for value in nice_ticks(low, high)]
@@ -352,14 +352,14 @@ def strip(interval: ChartInterval, threshold: float, least: bool | None, span: t
     return f'<div style="min-width: {width:g}px">{svg(width, height, label, "".join(parts))}</div>'
 
 
-def _lying(each: ChartInterval, y: float, place: Callable[[float], float]) -> str:
+def _lying(bar: ChartInterval, y: float, place: Callable[[float], float]) -> str:
     parts = ""
-    if np.isfinite(each.low) and np.isfinite(each.high):
-        a, b = place(each.low), place(each.high)
+    if np.isfinite(bar.low) and np.isfinite(bar.high):
+        a, b = place(bar.low), place(bar.high)
         marks = f"M{a:.1f} {y:.1f}H{b:.1f}M{a:.1f} {y - 4:.1f}v8M{b:.1f} {y - 4:.1f}v8"
-        parts = f'<path d="{marks}" stroke="{colour_of(each.series)}" stroke-width="1.8" fill="none"/>'
-    if np.isfinite(each.mean):
-        parts += _shapes([(place(each.mean), y)], each.series)
+        parts = f'<path d="{marks}" stroke="{colour_of(bar.series)}" stroke-width="1.8" fill="none"/>'
+    if np.isfinite(bar.mean):
+        parts += _shapes([(place(bar.mean), y)], bar.series)
     return parts
 
 

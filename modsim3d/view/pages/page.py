@@ -40,7 +40,7 @@ def common_style(title: str, content: str) -> str:
 
 def _css_text(text: str) -> str:
     """Text as a string of CSS; what could end it or the style is written by its code."""
-    return '"' + re.sub(r"[^\w .,:;?!()%/+·–-]", lambda found: f"\\{ord(found[0]):x} ", text) + '"'
+    return '"' + re.sub(r"[^\w .,:;?!()%/+·–-]", lambda match: f"\\{ord(match[0]):x} ", text) + '"'
 
 
 MIN_CONTENTS = 4  # sections of a page that has links to them
@@ -71,10 +71,10 @@ def with_contents(content: str) -> str:
     if len(titles) < MIN_CONTENTS:
         return content
     numbers = count(1)
-    content = _SECTION.sub(lambda found: f'<h2 id="section-{next(numbers)}"{found[0][3:]}', content)
+    content = _SECTION.sub(lambda match: f'<h2 id="section-{next(numbers)}"{match[0][3:]}', content)
     links = (f'<li><a href="#section-{number}">{title}</a></li>' for number, title in enumerate(titles, start=1))
     contents = f'<nav class="contents" aria-label="Contents"><ul>{"".join(links)}</ul></nav>\n'
-    return re.sub("<h[23]", lambda found: contents + found[0], content, count=1)
+    return re.sub("<h[23]", lambda match: contents + match[0], content, count=1)
 
 
 def document_page(document: doc.Document, rests_on: Provenance) -> str:
@@ -104,7 +104,7 @@ def html_of(block: doc.Block) -> str:
         case doc.Fold():
             return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
         case doc.BlockRow():
-            inner = "\n".join(f"<div>{html_of(each)}</div>" for each in block.blocks)
+            inner = "\n".join(f"<div>{html_of(child)}</div>" for child in block.blocks)
             return f'<div class="beside">\n{inner}\n</div>'
         case doc.Table():
             return _table_html(block)
@@ -130,11 +130,11 @@ def folded(title: str, content: str, opened: bool = False) -> str:
 
 def tiles(results: Iterable[Sequence[str]], kind: str = "tiles") -> str:
     """The main results side by side: a name, a number and what it means of each. `kind` is their class."""
-    each = (
+    cells = (
         f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(number)}</dd><dd>{html.escape(meaning)}</dd></div>"
         for name, number, meaning in results
     )
-    return f'<dl class="{kind}">\n' + "\n".join(each) + "\n</dl>"
+    return f'<dl class="{kind}">\n' + "\n".join(cells) + "\n</dl>"
 
 
 def image(picture: Image, alt: str, kind: str = "png", **options: Any) -> str:

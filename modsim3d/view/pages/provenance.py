@@ -84,21 +84,21 @@ def folder_input(what: str, folder: Path, files: Iterable[Path]) -> Input:
     return Input(what, str(folder), digest, f"of the sha256sum lines of {counted(len(names), 'file')}, sorted by path")
 
 
-def provenance(found: Provenance) -> str:
+def provenance(basis: Provenance) -> str:
     """The block of a page that says what it rests on, with lines for a signature in print."""
     facts = [
-        ("Page", html.escape(found.page)),
-        ("Made by", f"<code>{html.escape(found.made_by)}</code>"),
+        ("Page", html.escape(basis.page)),
+        ("Made by", f"<code>{html.escape(basis.made_by)}</code>"),
         ("Made with", html.escape(versions_in_words(installed()))),
-        *((name, html.escape(text)) for name, text in found.made_before),
-        *((f"Seed: {name}", html.escape(value)) for name, value in found.seeds),
-        *((name, html.escape(value)) for name, value in found.options),
+        *((name, html.escape(text)) for name, text in basis.made_before),
+        *((f"Seed: {name}", html.escape(value)) for name, value in basis.seeds),
+        *((name, html.escape(value)) for name, value in basis.options),
     ]
     lines = "\n".join(f"<tr><th>{html.escape(name)}</th><td>{text}</td></tr>" for name, text in facts)
     signed = "".join(f"<div><span>{name}</span></div>" for name in SIGNED)
     return (
         f'<section class="rests-on" id="{ANCHOR}">\n<h2>What this page rests on</h2>\n'
-        f'<table class="facts">\n{lines}\n</table>\n{_inputs(found.inputs)}\n'
+        f'<table class="facts">\n{lines}\n</table>\n{_inputs(basis.inputs)}\n'
         '<p class="soft">The same inputs, command and versions give the same bytes. The command is shown without the '
         "options that only say where files go or what is printed.</p>\n"
         '<div class="signature in-print"><p class="soft">The mark at the foot of each sheet is from the checksum of '
@@ -106,24 +106,24 @@ def provenance(found: Provenance) -> str:
     )
 
 
-def top_line(found: Provenance) -> str:
+def top_line(basis: Provenance) -> str:
     """The line under a page's title, which leads to the block, and what is wrong with an input."""
-    first = [f"{Path(each.path).name} ({each.sha256[:_SHORT]})" for each in found.inputs[:2] if each.sha256]
-    seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in found.seeds)}"] if found.seeds else []
+    first = [f"{Path(file.path).name} ({file.sha256[:_SHORT]})" for file in basis.inputs[:2] if file.sha256]
+    seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in basis.seeds)}"] if basis.seeds else []
     in_short = html.escape(" · ".join([*first, *seeds, f"modsim3d {installed_version('modsim3d')}"]))
     line = f'<div class="soft top-line">{in_short} · <a href="#{ANCHOR}">what this page rests on</a></div>'
-    wrong = (f'<p class="bad">{html.escape(f"{each.path}: {each.note}")}.</p>' for each in found.inputs if each.bad)
+    wrong = (f'<p class="bad">{html.escape(f"{file.path}: {file.note}")}.</p>' for file in basis.inputs if file.bad)
     return "\n".join([line, *wrong])
 
 
 def _inputs(inputs: Sequence[Input]) -> str:
     lines = []
-    for each in inputs:
-        kind = "bad" if each.bad else "soft"
-        note = f'<br><span class="{kind}">{html.escape(each.note)}</span>' if each.note else ""
+    for file in inputs:
+        kind = "bad" if file.bad else "soft"
+        note = f'<br><span class="{kind}">{html.escape(file.note)}</span>' if file.note else ""
         lines.append(
-            f'<tr><td>{html.escape(each.what)}</td><td data-label="path">{breaking(each.path)}{note}</td>'
-            f'<td data-label="SHA-256" class="digest">{each.sha256 or UNKNOWN}</td></tr>'
+            f'<tr><td>{html.escape(file.what)}</td><td data-label="path">{breaking(file.path)}{note}</td>'
+            f'<td data-label="SHA-256" class="digest">{file.sha256 or UNKNOWN}</td></tr>'
         )
     head = "<thead><tr><th>input</th><th>path</th><th>SHA-256</th></tr></thead>"
     return "\n".join(['<table class="stack inputs">', head, "<tbody>", *lines, "</tbody>", "</table>"])
@@ -152,20 +152,20 @@ def run_inputs(run: StoredRun) -> tuple[Input, ...]:
         f"of the scene and every file that it names; {listing} has it as scene_sha256",
     )
     detector = scene_folder / str(copy.document["detector"])
-    found = [scene, _run_file(run, detector, "detector file of the run")]
+    inputs = [scene, _run_file(run, detector, "detector file of the run")]
     if not run.finished:
         kept = folder_input("truth that the run has kept", work, work.glob(KEPT_TRUTH))
-        return (*found, file_input("settings of the run", work / SETTINGS_FILE), kept)
+        return (*inputs, file_input("settings of the run", work / SETTINGS_FILE), kept)
     tables = {"truth.parquet": "truth", "frames.parquet": "frames and states", "detections.parquet": "detections"}
     written = [_run_file(run, run.folder / name, f"{what} of the run") for name, what in tables.items()]
-    return (*found, file_input("manifest of the run", run.folder / RUN_FILE), *written)
+    return (*inputs, file_input("manifest of the run", run.folder / RUN_FILE), *written)
 
 
 def _run_file(run: StoredRun, path: Path, what: str) -> Input:
     """A file that the run has listed with its checksum; a file that was changed since stands out."""
-    found = sha256_of(path)
-    listed = (run.settings.get("files") or {}).get(path.relative_to(run.folder).as_posix(), {}).get("sha256", found)
-    return Input(what, str(path), found, "" if listed == found else CHANGED, listed != found)
+    digest = sha256_of(path)
+    listed = (run.settings.get("files") or {}).get(path.relative_to(run.folder).as_posix(), {}).get("sha256", digest)
+    return Input(what, str(path), digest, "" if listed == digest else CHANGED, listed != digest)
 
 
 def track_inputs(name: str, path: Path | None) -> Iterator[Input]:
@@ -178,7 +178,7 @@ def _file_or_folder(what: str, path: Path) -> Input:
     """A file, or all files of a folder that are not hidden."""
     if not path.is_dir():
         return file_input(what, path)
-    return folder_input(what, path, [each for each in path.rglob("*") if each.is_file() and each.name[0] != "."])
+    return folder_input(what, path, [file for file in path.rglob("*") if file.is_file() and file.name[0] != "."])
 
 
 def run_seeds(run: StoredRun) -> tuple[tuple[str, str], ...]:
@@ -190,10 +190,10 @@ def run_seeds(run: StoredRun) -> tuple[tuple[str, str], ...]:
 def run_versions(run: StoredRun) -> tuple[tuple[str, str], ...]:
     """The versions that made a run, and its renderer."""
     settings = run.settings
-    found = [("The run was made with", versions_in_words(settings["versions"]))]
+    rows = [("The run was made with", versions_in_words(settings["versions"]))]
     if truth := settings.get("truth_versions"):
-        found.append(("Its truth was made with", versions_in_words(truth)))
-    found.append(("The run's renderer", settings["backend"]))
+        rows.append(("Its truth was made with", versions_in_words(truth)))
+    rows.append(("The run's renderer", settings["backend"]))
     if settings.get("plugins"):
-        found.append(("Plug-ins", ", ".join(f"{name} of {package}" for name, package in settings["plugins"].items())))
-    return tuple(found)
+        rows.append(("Plug-ins", ", ".join(f"{name} of {package}" for name, package in settings["plugins"].items())))
+    return tuple(rows)

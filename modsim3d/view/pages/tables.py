@@ -48,7 +48,7 @@ def table(
     labels = header if len(header) >= MIN_STACKED else [""] * len(columns)
     lines = [f"<table{_shape(len(header))}>"]
     if header:
-        names = (f"<th{_class(each)}>{html.escape(name)}</th>" for name, each in zip(header, right, strict=False))
+        names = (f"<th{_class(side)}>{html.escape(name)}</th>" for name, side in zip(header, right, strict=False))
         lines.append(f"<thead><tr>{''.join(names)}</tr></thead>")
     lines.append("<tbody>")
     for number, cells in enumerate(zip(*shown, strict=True)):
@@ -89,16 +89,16 @@ def aligned(column: Sequence[str]) -> list[str]:
     cells = [_NUMBER.sub(lambda part: part[0].replace("-", "−"), cell) if is_number(cell) else cell for cell in column]
     groups: dict[str, list[int]] = {}
     for place, cell in enumerate(cells):
-        if is_number(cell) and not any(found["power"] for found in _NUMBER.finditer(cell)):
+        if is_number(cell) and not any(part["power"] for part in _NUMBER.finditer(cell)):
             groups.setdefault(_NUMBER.sub("0", cell), []).append(place)
     for places in groups.values():
         numbers = [list(_NUMBER.finditer(cells[place])) for place in places]
         widths = [
-            (max(_length(each, "sign", "whole") for each in same), max(len(each["rest"] or "") for each in same))
+            (max(_length(part, "sign", "whole") for part in same), max(len(part["rest"] or "") for part in same))
             for same in zip(*numbers, strict=True)
         ]
-        for place, found in zip(places, numbers, strict=True):
-            cells[place] = _padded(cells[place], found, widths)
+        for place, parts in zip(places, numbers, strict=True):
+            cells[place] = _padded(cells[place], parts, widths)
     return cells
 
 
@@ -139,8 +139,8 @@ def with_code(text: str) -> str:
 
 def _in_number(cell: str) -> str:
     """A cell of numbers as HTML: an interval stays on one line, and a phone needs no spaces of alignment."""
-    padded = _PADS.sub(lambda found: f'<i class="pad">{found[0]}</i>', html.escape(cell))
-    return _WHOLE.sub(lambda found: f'<span class="whole">{found[0]}</span>', padded)
+    padded = _PADS.sub(lambda part: f'<i class="pad">{part[0]}</i>', html.escape(cell))
+    return _WHOLE.sub(lambda part: f'<span class="whole">{part[0]}</span>', padded)
 
 
 def _shape(columns: int) -> str:

@@ -98,9 +98,9 @@ def _detection_ranks(rows: RunRows) -> list[Array]:
     """As `_truth_ranks`: the largest one of each kind."""
     size, outcome = areas(rows.detection_boxes_px()), rows.outcomes
     has = {flag: having(outcome, flag) for flag in Outcome}
-    known = ~has[Outcome.FALSE_POSITIVE]
+    true = ~has[Outcome.FALSE_POSITIVE]
     vessel_size = np.zeros(len(size))
-    vessel_size[known] = areas(rows.annotated_boxes_px[rows.detected_row[known]])
+    vessel_size[true] = areas(rows.annotated_boxes_px[rows.detected_row[true]])
     kinds = (
         (outcome == 0, vessel_size),
         (has[Outcome.MISLABELLED], vessel_size),
@@ -128,13 +128,13 @@ def _least(
     groups: Iterable[Rows], ranks_of: Callable[[Rows], list[Array]], highlight_of: Callable[[Rows, int], Highlight]
 ) -> list[Highlight]:
     """For each kind that there is, the highlight of the row that ranks least."""
-    found: dict[int, tuple[float, Highlight]] = {}
+    leaders: dict[int, tuple[float, Highlight]] = {}
     for rows in groups:
         for kind, rank in enumerate(ranks_of(rows)):
             least = float(rank.min(initial=np.inf))
-            if least < (found[kind][0] if kind in found else np.inf):
-                found[kind] = least, highlight_of(rows, int(np.argmin(rank)))
-    return [found[kind][1] for kind in sorted(found)]
+            if least < (leaders[kind][0] if kind in leaders else np.inf):
+                leaders[kind] = least, highlight_of(rows, int(np.argmin(rank)))
+    return [leaders[kind][1] for kind in sorted(leaders)]
 
 
 SHEET_FILE = "contact_sheet.png"
@@ -220,6 +220,6 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
         return label.vessel == highlight.vessel and (label.vessel is not None or np.allclose(label.box, focus))
 
     seen, drawn = camera_view.frame.truth.visible_boxes_px, camera_view.frame.detections.boxes_px
-    there = np.concatenate([seen[~np.isnan(seen).any(axis=1)], drawn])
-    options: dict[str, Any] = {"nominal_width_px": NOMINAL_WIDTH_PX, "wanted": wanted, "clear_of": list(there)}
+    boxes = np.concatenate([seen[~np.isnan(seen).any(axis=1)], drawn])
+    options: dict[str, Any] = {"nominal_width_px": NOMINAL_WIDTH_PX, "wanted": wanted, "clear_of": list(boxes)}
     return close_up(camera_view, window, np.array(highlight.focus_px), DETECTIONS, id_renderer, **options)

@@ -111,7 +111,7 @@ class FrameTracks:
         """The tracks in a frame of a scene, or those with some numbers only; none if there are no tracks."""
         if followed is None:
             return cls(_NO_ROWS, np.empty((0, 4)), _NO_ROWS, _NO_ROWS.astype(bool), ())
-        camera, tracks = [each.name for each in scene.cameras].index(frame.camera), followed.tracks
+        camera, tracks = [scene_camera.name for scene_camera in scene.cameras].index(frame.camera), followed.tracks
         rows = np.arange(len(tracks))[followed.rows_of(frame.step * len(scene.cameras) + camera)]
         if only is not None:
             rows = rows[np.isin(tracks.track[rows], list(only))]

@@ -18,9 +18,9 @@ class NamedLayers:
     @classmethod
     def of(cls, names: Iterable[str]) -> Self:
         """Layers by their names; raises ModsimError if one has no such name."""
-        known, asked = [entry.name for entry in fields(cls)], list(names)
-        if unknown := [name for name in asked if name not in known]:
-            raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
+        layers, asked = [entry.name for entry in fields(cls)], list(names)
+        if unknown := [name for name in asked if name not in layers]:
+            raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(layers)}")
         return cls(**dict.fromkeys(asked, True))
 
     def without(self, *names: str) -> Self:

@@ -105,13 +105,13 @@ class Solids:
     def shoeboxes(self) -> list[tuple[int, Array, Array]]:
         """Shoeboxes of the vessels: index of the vessel, edges and corner points in the image, in pixels.
         Edges are cut at the near plane, shape (E, 2, 2). Corners nearer than it are NaN, shape (8, 2)."""
-        body, near, found = shoebox().vertices, self.intrinsics.near_clip_m, []
+        body, near, boxes = shoebox().vertices, self.intrinsics.near_clip_m, []
         for vessel in self.occluders[self.outlines.boxed].tolist():
             turned = (body * self.extents_m[vessel]) @ self.sight.world_R_vessel[0, vessel].T
             corners = self.sight.camera_poses.to_camera((turned + self.sight.poses.positions_m[0, vessel])[None])[0]
             edges = _beyond(corners[_EDGES], near)
-            found.append((vessel, self.intrinsics.project(edges), self.intrinsics.project(corners)))
-        return found
+            boxes.append((vessel, self.intrinsics.project(edges), self.intrinsics.project(corners)))
+        return boxes
 
 
 _EDGES = np.array([(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a & bit])

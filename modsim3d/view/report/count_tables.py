@@ -34,8 +34,8 @@ def named_counts(counts: Counts) -> Rows:
         ("IoU below 0.5", counts.below_half_iou, true, of_true),
         ("Off their vessel", counts.off_vessel, true, of_true),
     )
-    said = [(name, f"{count:,}", f"{percent_of(count, whole)} {of}") for name, count, whole, of in shares]
-    return [("Annotated", f"{counts.annotated:,}", "vessels in frames, given to the detector"), *said]
+    rows = [(name, f"{count:,}", f"{percent_of(count, whole)} {of}") for name, count, whole, of in shares]
+    return [("Annotated", f"{counts.annotated:,}", "vessels in frames, given to the detector"), *rows]
 
 
 def _cells(counts: Counts) -> tuple[str, ...]:
@@ -87,8 +87,8 @@ class CountTables:
         """A row for each vessel, with the columns of `VESSEL_HEADER`."""
         named = ((name, self._of_vessels.counts(index)) for index, name in enumerate(self._scene.vessel_names))
         return [
-            (name, *map(_whole, (each.vessel_frames, each.partly_hidden, each.fully_hidden)), *_cells(each))
-            for name, each in named
+            (name, *map(_whole, (vessel.vessel_frames, vessel.partly_hidden, vessel.fully_hidden)), *_cells(vessel))
+            for name, vessel in named
         ]
 
     def by_state(self) -> Rows:

@@ -40,7 +40,7 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
     shown step, `shown`, −1 before its first. Pictures that labels do not name are taken in order, those of several
     cameras in folders called as they are. Raises InputError if there are none, not as many as the camera has frames, or
     not all that labels name."""
-    scene, found, taken = run.scene, [], set[Path]()
+    scene, facts, taken = run.scene, [], set[Path]()
     for camera in scene.cameras:
         folder = images if len(scene.cameras) == 1 and not (images / camera.name).is_dir() else images / camera.name
         steps = scene.frame_steps(camera, 0, run.steps)
@@ -50,8 +50,8 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
         _check_size(files[0], camera, files[0])
         shown_at = np.searchsorted(steps, np.arange(0, run.steps, every), side="right") - 1
         addresses = [quote(Path(os.path.relpath(file, page.parent)).as_posix()) for file in files]
-        found.append({"files": addresses, "shown": shown_at.tolist()})
-    return found
+        facts.append({"files": addresses, "shown": shown_at.tolist()})
+    return facts
 
 
 def keyframe_facts(run: StoredRun, look: RenderStyle, shown: Recording, every: int) -> list[dict[str, Any]]:
@@ -60,9 +60,9 @@ def keyframe_facts(run: StoredRun, look: RenderStyle, shown: Recording, every: i
     Raises RendererError without OpenGL, and ModsimError for a labelled video, of which no scene is known."""
     if run.scene.labels is not None:
         raise ModsimError("--look: a labelled video has no scene to draw; --pictures shows its images")
-    request, found = PictureRequest("scene", (), width=KEYFRAME_PX, look=look), list[dict[str, Any]]()
-    for camera, each in enumerate(shown.outcomes):
-        faults = np.unique(each.first[each.outcome >= VesselOutcome.WRONG_CLASS])
+    request, facts = PictureRequest("scene", (), width=KEYFRAME_PX, look=look), list[dict[str, Any]]()
+    for camera, stretches in enumerate(shown.outcomes):
+        faults = np.unique(stretches.first[stretches.outcome >= VesselOutcome.WRONG_CLASS])
         chosen = faults[np.linspace(0, len(faults) - 1, min(len(faults), KEYFRAMES)).astype(np.int64)]
         places = np.full(-(-run.steps // every), -1)
         places[chosen] = np.arange(len(chosen))
@@ -78,8 +78,8 @@ def keyframe_facts(run: StoredRun, look: RenderStyle, shown: Recording, every: i
                     sheet = renderer.draw(step).crop((0, layout.head_px, size[0], layout.head_px + size[1]))
                     data = base64.b64encode(encoded(sheet, ".jpg", quality=_QUALITY)).decode("ascii")
                     files.append(f"data:image/jpeg;base64,{data}")
-        found.append({"files": files, "shown": places.tolist()})
-    return found
+        facts.append({"files": files, "shown": places.tolist()})
+    return facts
 
 
 def _called(names: Sequence[str], images: Path, folder: Path, taken: set[Path]) -> list[Path]:
@@ -100,9 +100,9 @@ def _called(names: Sequence[str], images: Path, folder: Path, taken: set[Path]) 
     if None in best and any(path.suffix in KINDS for path in wanted):
         first = best.index(None)
         whose = "which labels name" if wanted[first].suffix in KINDS else "an image whose file labels do not name"
-        told = f"has no picture of its own for {shown(names[first])}, {whose} ({best.count(None):,} of {len(best):,})"
+        fault = f"has no picture of its own for {shown(names[first])}, {whose} ({best.count(None):,} of {len(best):,})"
         right = "the path below this folder, or the name in it or in the camera's folder, must be that of the labels"
-        raise InputError(f"--pictures {images}", [f"{told}: {right}"])
+        raise InputError(f"--pictures {images}", [f"{fault}: {right}"])
     return [] if None in best else [file for file in best if file]
 
 
@@ -123,9 +123,11 @@ def _in_order(folder: Path, camera: str, count: int) -> list[Path]:
     if not files:
         raise InputError(f"--pictures {folder}", [f"has no pictures ({', '.join(KINDS)})"])
     if len(files) != count:
-        told = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"
-        raise InputError(f"--pictures {folder}", [f"{told}, or names as those of the labelled images"])
-    return sorted(files, key=lambda path: [int(each) if each.isdigit() else each for each in _DIGITS.split(path.name)])
+        fault = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"
+        raise InputError(f"--pictures {folder}", [f"{fault}, or names as those of the labelled images"])
+    return sorted(
+        files, key=lambda path: [int(piece) if piece.isdigit() else piece for piece in _DIGITS.split(path.name)]
+    )
 
 
 def _check_size(path: Path, camera: Camera, given: Path) -> None:
@@ -160,10 +162,10 @@ def film_frames(film: Path, folder: Path, run: StoredRun) -> Path:
                 if written == len(wanted):
                     break
             if written < len(wanted):
-                told = (
+                fault = (
                     f"ends after {number + 1:,} pictures at {rate_hz:g} a second, and the run after {times_s[-1]:g} s"
                 )
-                raise InputError(f"--pictures {film}", [told])
+                raise InputError(f"--pictures {film}", [fault])
             _check_size(partial / "000001.jpg", camera, film)
     except ImportError:
         raise ModsimError("--pictures of a film needs ffmpeg: pip install 'modsim3d[video]'") from None

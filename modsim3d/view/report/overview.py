@@ -100,8 +100,8 @@ class Overview:
     def add(self, shown: ShownRows) -> None:
         """Add what the camera shows at some steps."""
         self._found["state"].add(shown.state, shown.index)
-        known = shown.state < self._states.shape[1]
-        np.add.at(self._states, (shown.index[known] // self.width, shown.state[known]), 1)
+        valid = shown.state < self._states.shape[1]
+        np.add.at(self._states, (shown.index[valid] // self.width, shown.state[valid]), 1)
         self._count("seen", shown.truth_index, shown.vessel, np.ones(len(shown.vessel), bool))
         self._count("annotated", shown.truth_index, shown.vessel, shown.annotated)
         self._count(MISSED, shown.truth_index, shown.vessel, shown.missed)
@@ -135,8 +135,8 @@ class Overview:
 
     def stretches(self, kind: str) -> Stretches:
         """Stretches of a kind of moment, of `HALF` or of `state`; the key is the vessel or the state."""
-        found = self._found[kind].stretches()
-        return onsets(found, self._found[LITTLE].stretches()) if kind == HIDDEN else found
+        spans = self._found[kind].stretches()
+        return onsets(spans, self._found[LITTLE].stretches()) if kind == HIDDEN else spans
 
     def facts(self, quantum_px: float) -> dict[str, Any]:
         """Steps in a bin, and the least and greatest row of the image, in pixels, that a vessel reaches."""
@@ -152,10 +152,10 @@ class Overview:
         for name, counts in self._of_vessels.items():
             columns[f"{prefix}vessels.{name}"] = Codes(counts.astype(np.uint32), by=ROW_BEFORE)
         for name in ("state", *([HALF] if half else []), *MOMENT_KINDS):
-            found = self.stretches(name).by_time()
-            key = found.key if name == "state" else np.where(found.key < self._vessels, found.key, NONE)
-            columns[f"{prefix}moments.{name}.index"] = Codes(found.first.astype(np.uint32), by=ROW_BEFORE)
-            columns[f"{prefix}moments.{name}.long"] = Codes((found.until - found.first).astype(np.uint32))
+            spans = self.stretches(name).by_time()
+            key = spans.key if name == "state" else np.where(spans.key < self._vessels, spans.key, NONE)
+            columns[f"{prefix}moments.{name}.index"] = Codes(spans.first.astype(np.uint32), by=ROW_BEFORE)
+            columns[f"{prefix}moments.{name}.long"] = Codes((spans.until - spans.first).astype(np.uint32))
             columns[f"{prefix}moments.{name}.key"] = Codes(key.astype(np.uint16), by=ROW_BEFORE)
         return columns
 
@@ -197,15 +197,15 @@ class OutcomesBuilder:
 
     def stretches(self) -> OutcomeStretches:
         """All of them."""
-        found = self._found.stretches()
-        vessel, outcome = np.divmod(found.key, len(VesselOutcome))
-        order = np.lexsort((found.first, vessel))
-        return OutcomeStretches(vessel[order], outcome[order], found.first[order], found.until[order])
+        spans = self._found.stretches()
+        vessel, outcome = np.divmod(spans.key, len(VesselOutcome))
+        order = np.lexsort((spans.first, vessel))
+        return OutcomeStretches(vessel[order], outcome[order], spans.first[order], spans.until[order])
 
 
 def vessel_outcomes(shown: ShownRows) -> Indices:
     """The number of the `VesselOutcome` of each row of the truth, shape (n,)."""
-    found = np.full(len(shown.vessel), VesselOutcome.DETECTED)
+    numbers = np.full(len(shown.vessel), VesselOutcome.DETECTED)
     stride = 1 + max(int(shown.vessel.max(initial=0)), int(shown.drawn_vessel.max(initial=0)))
     true = ~shown.false
     wanted = (shown.drawn_index * stride + shown.drawn_vessel)[true]
@@ -216,10 +216,10 @@ def vessel_outcomes(shown: ShownRows) -> Indices:
         (Outcome.OFF_VESSEL, VesselOutcome.OFF_VESSEL),
     )
     for flag, number in worst_last:
-        found[row[having(outcome, flag) & (row != NOBODY)]] = number
-    found[shown.missed] = VesselOutcome.MISSED
-    found[~shown.annotated] = VesselOutcome.NOT_ANNOTATED
-    return found
+        numbers[row[having(outcome, flag) & (row != NOBODY)]] = number
+    numbers[shown.missed] = VesselOutcome.MISSED
+    numbers[~shown.annotated] = VesselOutcome.NOT_ANNOTATED
+    return numbers
 
 
 # ---- The vessels' poses at the steps of one part of a run ----

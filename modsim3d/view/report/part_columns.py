@@ -129,8 +129,8 @@ class PartFrames:
             mine = np.flatnonzero(number % self._cameras == camera)
             step = number[mine] // self._cameras
             place = np.searchsorted(steps, step)
-            found = np.flatnonzero(np.append(steps, NOBODY)[place] == step)
-            frame[mine[found]] = self.begins[camera] + place[found]
+            matches = np.flatnonzero(np.append(steps, NOBODY)[place] == step)
+            frame[mine[matches]] = self.begins[camera] + place[matches]
         return frame
 
 
@@ -169,8 +169,8 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
 
 def _depths(depth_m: Array) -> Column:
     """Depths in centimetres; the largest number where one is not known."""
-    known = np.isfinite(depth_m)
-    return np.where(known, np.rint(PER_METRE * np.where(known, depth_m, 0.0)), NO_DEPTH).astype(np.uint32)
+    finite = np.isfinite(depth_m)
+    return np.where(finite, np.rint(PER_METRE * np.where(finite, depth_m, 0.0)), NO_DEPTH).astype(np.uint32)
 
 
 def detection_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Codes]:

@@ -35,8 +35,8 @@ class TrackRows:
     def __init__(self, followed: FollowedTracks, scene: Scene, steps: Indices) -> None:
         """Find the rows in the frames that the cameras show at ascending steps, shape (S,)."""
         tracks, numbers = followed.tracks, []
-        for camera, each in enumerate(scene.cameras):
-            taken = scene.frame_steps(each, 0, int(steps[-1]) + 1)
+        for camera, scene_camera in enumerate(scene.cameras):
+            taken = scene.frame_steps(scene_camera, 0, int(steps[-1]) + 1)
             place = np.searchsorted(taken, steps, side="right") - 1
             numbers.append(taken[place[place >= 0]] * len(scene.cameras) + camera)
         self._followed, self._drawn = followed, np.flatnonzero(np.isin(tracks.frame, np.concatenate(numbers)))
@@ -88,15 +88,15 @@ class Lanes:
 
     def columns(self, prefix: str) -> dict[str, packing.Column | packing.Codes]:
         """The stretches of the lanes in order of time, and their marks."""
-        found = self._found.stretches().by_time()
-        lane_and_vessel, pale = np.divmod(found.key, 2)
+        spans = self._found.stretches().by_time()
+        lane_and_vessel, pale = np.divmod(spans.key, 2)
         lane, vessel = np.divmod(lane_and_vessel, self._vessels + 1)
         vessel = np.where(vessel == self._vessels, packing.NONE, vessel)
         marks = np.concatenate(self._marks)
         return {
             f"{prefix}lane": packing.Codes(lane.astype(np.uint32), by=packing.ROW_BEFORE),
-            f"{prefix}index": packing.Codes(found.first.astype(np.uint32), by=packing.ROW_BEFORE),
-            f"{prefix}long": packing.Codes((found.until - found.first).astype(np.uint32)),
+            f"{prefix}index": packing.Codes(spans.first.astype(np.uint32), by=packing.ROW_BEFORE),
+            f"{prefix}long": packing.Codes((spans.until - spans.first).astype(np.uint32)),
             f"{prefix}vessel": packing.Codes(vessel.astype(np.uint16), by=f"{prefix}lane"),
             f"{prefix}pale": pale.astype(np.uint8),
             f"{prefix}markLane": marks[:, 0].astype(np.uint32),
@@ -121,10 +121,10 @@ def _at_next(marked: Indices, identity: Indices, drawn: Indices) -> packing.Colu
     order = np.lexsort((drawn, identity[drawn]))
     keys = identity[drawn[order]] * len(identity) + drawn[order]  # ascending, as rows are in order of time
     place = np.searchsorted(keys, identity[marked] * len(identity) + marked)
-    found = place < len(keys)
-    row = drawn[order[place[found]]]
+    inside = place < len(keys)
+    row = drawn[order[place[inside]]]
     at = np.zeros(len(identity), dtype=bool)
-    at[row[identity[row] == identity[marked[found]]]] = True
+    at[row[identity[row] == identity[marked[inside]]]] = True
     return at
 
 
@@ -148,18 +148,18 @@ class Places:
     def columns(self, steps: Indices, motion: PartMotion) -> dict[str, packing.Column | packing.Codes]:
         """The places at ascending steps, shape (S,): a row a step, with a column for each vessel or camera."""
         scene, poses = self._scene, motion.at(steps).poses
-        there, place_m = poses.present, poses.positions_m[..., :2]
+        present, place_m = poses.present, poses.positions_m[..., :2]
         cameras = [_camera_places(scene, camera, steps, motion) for camera in scene.cameras]
         camera_m, looks, camera_there = (np.stack(columns, axis=1) for columns in zip(*cameras, strict=True))
-        self._reach += [(place_m + side * self._half_m)[there] for side in (-1, 1)]
+        self._reach += [(place_m + side * self._half_m)[present] for side in (-1, 1)]
         self._reach.append(camera_m[camera_there])
         every = np.concatenate(self._reach)
         self._reach = [np.array([every.min(axis=0), every.max(axis=0)])]
-        places = _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1)
+        places = _centimetres(np.where(present[..., None], place_m, 0.0)).reshape(len(steps), -1)
         return {
-            "placed": there.astype(np.uint8),
+            "placed": present.astype(np.uint8),
             "place": packing.Codes(places, by=packing.ROW_BEFORE),
-            "heading": packing.Codes(_turns(np.where(there, poses.headings_rad, 0.0)), by=packing.ROW_BEFORE),
+            "heading": packing.Codes(_turns(np.where(present, poses.headings_rad, 0.0)), by=packing.ROW_BEFORE),
             "cameraPlaced": camera_there.astype(np.uint8),
             "cameraPlace": packing.Codes(_centimetres(camera_m).reshape(len(steps), -1), by=packing.ROW_BEFORE),
             "cameraLooks": packing.Codes(_turns(looks).reshape(len(steps), -1), by=packing.ROW_BEFORE),
@@ -179,17 +179,17 @@ def _camera_places(scene: Scene, camera: Camera, steps: Indices, motion: PartMot
     """Place and view of a camera at ascending steps, shape (S,): w1 and w2, shape (S, 2); the directions to the left
     and the right end of its horizon, shape (S, 2); whether it is there, shape (S,): not while the vessel that carries
     it is absent, which may be so between its frames."""
-    there = np.full(len(steps), scene.labels is None)
+    present = np.full(len(steps), scene.labels is None)
     if camera.mount.vessel is not None:
-        there = motion.at(steps).poses.present[:, scene.vessel_names.index(camera.mount.vessel)]
+        present = motion.at(steps).poses.present[:, scene.vessel_names.index(camera.mount.vessel)]
     place_m, looks_rad = np.zeros((2, len(steps), 2))
-    if there.any():
-        poses = scene.camera_poses(camera, motion.at(steps[there]), steps[there])
+    if present.any():
+        poses = scene.camera_poses(camera, motion.at(steps[present]), steps[present])
         width, height = camera.intrinsics.image_size_px
         row = float(np.clip(camera.intrinsics.principal_point_px[1], 0, height))
         rays = camera.intrinsics.unproject(np.array([[0.0, row], [width, row]]), np.ones(2)) @ poses.camera_R_world
-        place_m[there], looks_rad[there] = poses.positions_m[:, :2], np.arctan2(rays[..., 1], rays[..., 0])
-    return place_m, looks_rad, there
+        place_m[present], looks_rad[present] = poses.positions_m[:, :2], np.arctan2(rays[..., 1], rays[..., 0])
+    return place_m, looks_rad, present
 
 
 def _centimetres(metres: Array) -> packing.Column:
@@ -312,7 +312,7 @@ class _Recorder:
         if self._tracks is not None:
             columns |= self._tracks.columns(frames, self._quantum)
         index = part.steps // self._every
-        plain = {name: each.values if isinstance(each, packing.Codes) else each for name, each in columns.items()}
+        plain = {name: data.values if isinstance(data, packing.Codes) else data for name, data in columns.items()}
         for camera, (overview, outcomes) in enumerate(zip(self._overviews, self._outcomes, strict=True)):
             rows = ShownRows.of(index, frames.shown[:, camera], plain)
             overview.add(rows)
@@ -323,7 +323,7 @@ class _Recorder:
 
     def outcomes(self) -> tuple[OutcomeStretches, ...]:
         """Outcomes of the vessels, of each camera, once all parts are there."""
-        return tuple(each.stretches() for each in self._outcomes)
+        return tuple(builder.stretches() for builder in self._outcomes)
 
     def overview(self) -> tuple[dict[str, Any], dict[str, packing.Column | packing.Codes]]:
         """The facts, and the columns of what the timeline shows, once all parts are there."""
@@ -349,7 +349,7 @@ class _Recorder:
 
 def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
     vessels = [palette.vessel_colour(index, scene.own_ships) for index in range(len(scene.vessels))]
-    obstacles = [palette.obstacle_colour(index, each.name) for index, each in enumerate(scene.obstacles)]
+    obstacles = [palette.obstacle_colour(index, obstacle.name) for index, obstacle in enumerate(scene.obstacles)]
     states = palette.state_colours(len(scene.detector.states))
     return {
         "name": scene.name,

@@ -81,7 +81,7 @@ def differences(first: Sequence[OutcomeStretches], second: Sequence[OutcomeStret
         span = int(one.until.max(initial=0)) + 1
         begins = [stretches.vessel * span + stretches.first for stretches in (one, other)]
         begin = np.union1d(*begins)  # each run's outcome changes at some of them
-        row, other_row = (np.searchsorted(each, begin, side="right") - 1 for each in begins)
+        row, other_row = (np.searchsorted(starts, begin, side="right") - 1 for starts in begins)
         outcomes = np.column_stack([one.outcome[row], other.outcome[other_row]])
         vessel, index = np.divmod(begin, span)
         until = np.minimum(one.until[row], other.until[other_row])
@@ -91,15 +91,15 @@ def differences(first: Sequence[OutcomeStretches], second: Sequence[OutcomeStret
     return Differences(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def difference_columns(found: Differences) -> dict[str, Column | Codes]:
+def difference_columns(changes: Differences) -> dict[str, Column | Codes]:
     """The differences for the player of a page, in order of camera and first step."""
-    order = np.lexsort((found.vessel, found.index, found.camera))
+    order = np.lexsort((changes.vessel, changes.index, changes.camera))
     return {
-        "camera": Codes(found.camera[order].astype(np.uint16), by=ROW_BEFORE),
-        "vessel": found.vessel[order].astype(np.uint16),
-        "index": Codes(found.index[order].astype(np.uint32), by=ROW_BEFORE),
-        "long": Codes((found.until - found.index)[order].astype(np.uint32)),
-        "outcomes": found.outcomes[order].astype(np.uint8),
+        "camera": Codes(changes.camera[order].astype(np.uint16), by=ROW_BEFORE),
+        "vessel": changes.vessel[order].astype(np.uint16),
+        "index": Codes(changes.index[order].astype(np.uint32), by=ROW_BEFORE),
+        "long": Codes((changes.until - changes.index)[order].astype(np.uint32)),
+        "outcomes": changes.outcomes[order].astype(np.uint8),
     }
 
 
@@ -114,7 +114,7 @@ def paired_detections(first: RunRows, second: RunRows) -> Rows:
     for name, which in (*((name, vessel == i) for i, name in enumerate(first.scene.vessel_names)), ("all", given)):
         one, other = first.detected[given & which], second.detected[given & which]
         counts = np.ones_like(one), one & other, one & ~other, ~one & other, ~one & ~other
-        rows.append((name, *(f"{np.sum(each):,}" for each in counts)))
+        rows.append((name, *(f"{np.sum(outcome):,}" for outcome in counts)))
     return rows
 
 
@@ -146,8 +146,8 @@ def write_side_by_side(
         recording(run, every, progress, name=name, count=counts.add)
         for run, name, counts in zip(runs, "AB", tables, strict=True)
     ]
-    found = differences(recordings[0].outcomes, recordings[1].outcomes)
-    pairs = zip(*(named_counts(each.total) for each in tables), strict=True)
+    changes = differences(recordings[0].outcomes, recordings[1].outcomes)
+    pairs = zip(*(named_counts(table.total) for table in tables), strict=True)
     compared: Rows = [(name, one, share, other, second_share) for (name, one, share), (_, other, second_share) in pairs]
     paired = paired_detections(*(RunRows.of(run) for run in runs))
     parts = [
@@ -158,7 +158,7 @@ def write_side_by_side(
             for name, counts in zip(names, tables, strict=True)
         ),
     ]
-    number = len(found.vessel)
+    number = len(changes.vessel)
     times = "once" if number == 1 else f"{number:,} times"
     settings, rests_on = _settings(first, second, names), provenance(_provenance(runs, every, command))
     text = report.PageText(
@@ -173,7 +173,7 @@ def write_side_by_side(
         tables="\n".join([report.sections(parts), settings, rests_on]),
     )
     facts = f'<script type="application/json" id="runs">{report.json_in_html(names)}</script>'
-    columns = report.data_element("differences-columns", packed(difference_columns(found)))
+    columns = report.data_element("differences-columns", packed(difference_columns(changes)))
     report.write_page(text, recordings, out, in_files=in_files, differences=f"{facts}\n{columns}")
     return out
 
@@ -184,7 +184,7 @@ def _provenance(runs: tuple[StoredRun, StoredRun], every: int, command: str | No
     return Provenance(
         page="two runs side by side",
         made_by=command or f"modsim3d.view.report.side_by_side.write_side_by_side of {folders} from Python",
-        inputs=tuple(replace(each, what=f"{name}: {each.what}") for name, run in lettered for each in run_inputs(run)),
+        inputs=tuple(replace(file, what=f"{name}: {file.what}") for name, run in lettered for file in run_inputs(run)),
         seeds=tuple((f"{name} {seed}", value) for name, run in lettered for seed, value in run_seeds(run)),
         options=(("Steps", f"{runs[0].steps:,}" + (f", one of {every} shown" if every > 1 else "")),),
         made_before=tuple((f"{name}: {what}", text) for name, run in lettered for what, text in run_versions(run)),
@@ -196,7 +196,7 @@ def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> st
     one, other = ({row[0]: row[1] for row in named_values(run.settings)} for run in (first, second))
     left_out = ("scene_sha256", "truncation.")
     differ = [key for key in {**one, **other} if one.get(key) != other.get(key) and not key.startswith(left_out)]
-    rows = [(key, *(each.get(key, UNKNOWN) for each in (one, other))) for key in differ]
+    rows = [(key, *(values.get(key, UNKNOWN) for values in (one, other))) for key in differ]
     return f"<section>{heading('Settings that differ')}{table(rows, ('', *names))}</section>"
 
 

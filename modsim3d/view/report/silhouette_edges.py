@@ -43,13 +43,13 @@ class Edges:
 def silhouette_edges(outlines: Outlines, intrinsics: Intrinsics) -> Edges:
     """The edges around all rows in the camera's image.
     The lines around solids that are not closed wind around what their faces cover, seen from either side."""
-    found = [(np.empty(0, dtype=np.int64), np.empty((0, 2, 2)))]
+    pieces = [(np.empty(0, dtype=np.int64), np.empty((0, 2, 2)))]
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]
         for cut in (False, True):
             for some in _in_turns(part, np.flatnonzero(crosses == cut)):
-                found.append(_edges(some, intrinsics, cut=cut))
-    row, ends = np.concatenate([row for row, _ in found]), np.concatenate([ends for _, ends in found])
+                pieces.append(_edges(some, intrinsics, cut=cut))
+    row, ends = np.concatenate([row for row, _ in pieces]), np.concatenate([ends for _, ends in pieces])
     if intrinsics.distortion is not None:
         row, ends = _confined(row, ends, intrinsics.pinhole.image_size_px, LENS_GUARD_PX)
         row, ends = _divided(row, ends, intrinsics.chord_px)
@@ -290,8 +290,8 @@ def tidy_at_border(shape: Indices, ends: Indices, size: tuple[int, int]) -> tupl
     left = np.ones(len(shape), dtype=bool)
     shapes, every = [], []
     for axis, bound in ((0, 0), (0, size[0]), (1, 0), (1, size[1])):
-        there = ends[..., axis] == bound
-        on = left & there[:, 0] & there[:, 1]
+        on_bound = ends[..., axis] == bound
+        on = left & on_bound[:, 0] & on_bound[:, 1]
         left &= ~on
         place, which = np.unique((shape[on, None] << PLACE_BITS) + ends[on, :, 1 - axis], return_inverse=True)
         change = np.bincount(which.reshape(-1), np.tile([1, -1], int(on.sum())), len(place)).astype(np.int64)

@@ -69,18 +69,18 @@ def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: In
     wrong = np.unique(frame[hidden[place[hidden] > place[hider]]])
     by_row = np.lexsort((hider, hidden))
     hidden, hider = hidden[by_row], hider[by_row]
-    known: dict[tuple[bytes, ...], Indices] = {}
+    orders: dict[tuple[bytes, ...], Indices] = {}
     for crowded in wrong:
         first, stop = np.searchsorted(frame, (crowded, crowded + 1)).tolist()
         pairs = slice(*np.searchsorted(hidden, (first, stop)))
         far_to_near, of, back, front = order[first:stop] - first, occluder[first:stop], hidden[pairs], hider[pairs]
         same = far_to_near.tobytes(), of.tobytes(), (back - first).tobytes(), (front - first).tobytes()
-        if same not in known:  # little changes from frame to frame
+        if same not in orders:  # little changes from frame to frame
             before: dict[int, list[int]] = defaultdict(list)
             for behind, nearer in zip((back - first).tolist(), (front - first).tolist(), strict=True):
                 before[behind].append(nearer)
-            known[same] = np.array(_behind_first(far_to_near.tolist(), of, before))
-        order[first:stop] = first + known[same]
+            orders[same] = np.array(_behind_first(far_to_near.tolist(), of, before))
+        order[first:stop] = first + orders[same]
     return order
 
 
@@ -218,7 +218,7 @@ class Silhouettes:
         by camera. `horizons` receives the sea half plane of each frame, shape (F, 3) with F = ΣF_c at least."""
         scene, occluder_count = self._scene, len(self._scene.occluder_names)
         hides = hiding(rows)
-        found: list[Shapes] = [NO_SHAPES]
+        batches: list[Shapes] = [NO_SHAPES]
         still, begin = [np.empty(0, dtype=bool)], 0
         for index, every in enumerate(frames):
             ashore = scene.cameras[index].mount.vessel is None
@@ -228,10 +228,10 @@ class Silhouettes:
                 place = begin + first
                 half_planes, drawn = seen(scene, index, steps, motion.at(steps), self._quantum_px, hides)
                 horizons[place : place + len(steps)] = half_planes
-                found.append(replace(drawn, frame=place + drawn.frame))
+                batches.append(replace(drawn, frame=place + drawn.frame))
                 still.append(drawn.occluder >= still_owner)
             begin += len(every)
-        every_shape, stands = concatenated(found), np.concatenate(still)
+        every_shape, stands = concatenated(batches), np.concatenate(still)
         outline = np.empty(len(stands), dtype=np.int64)
         outline[stands] = STILL + self._still.numbers(every_shape.take(stands))
         moving = every_shape.take(~stands)
@@ -284,12 +284,12 @@ class OutlineStore:
 
     def numbers(self, some: Shapes) -> Indices:
         """The number of each shape's outline, shape (s,), a new one if no other has the same lines."""
-        found, new = np.empty(len(some), dtype=np.int64), np.zeros(len(some), dtype=bool)
+        numbers, new = np.empty(len(some), dtype=np.int64), np.zeros(len(some), dtype=bool)
         for place, (count, corners) in enumerate(some.pieces()):
             new[place] = (key := (count.tobytes(), corners.tobytes())) not in self._numbers
-            found[place] = self._numbers.setdefault(key, len(self._numbers))
+            numbers[place] = self._numbers.setdefault(key, len(self._numbers))
         self._kept.append(some.take(new))
-        return found
+        return numbers
 
     def shapes(self) -> Shapes:
         """A shape with each of them."""
@@ -328,11 +328,11 @@ def shapes(
     stays = np.all(places[:, 0] == places[:, 1], axis=1)
     row_of, places = edges.row[~stays], places[~stays]
     column, row = np.rint(np.array(intrinsics.image_size_px) / quantum_px).astype(np.int64).tolist()
-    found = contours(*tidy_at_border(shape_of_row[row_of], places, (column, row)))
-    first_line = run_starts(found.shape)
-    begin = begins[found.shape[first_line]]
-    lines = np.diff(first_line, append=len(found.shape))
-    return Shapes(frame[begin], occluder[begin], lines, found.count, found.corners.astype(np.uint16))
+    rings = contours(*tidy_at_border(shape_of_row[row_of], places, (column, row)))
+    first_line = run_starts(rings.shape)
+    begin = begins[rings.shape[first_line]]
+    lines = np.diff(first_line, append=len(rings.shape))
+    return Shapes(frame[begin], occluder[begin], lines, rings.count, rings.corners.astype(np.uint16))
 
 
 def _seen(outlines: Outlines, edges: Edges) -> tuple[Outlines, Edges]:
