@@ -44,7 +44,7 @@ def most_likely_noise(sequences: BoxSequences) -> SmootherNoise:
 
     def unlikeliness(logarithms: Array) -> float:
         values = dict(zip(LIMITS, np.exp(logarithms).tolist(), strict=True))
-        return -log_likelihood(sequences, SmootherNoise(**values)) / int(sequences.there.sum())
+        return -log_likelihood(sequences, SmootherNoise(**values)) / int(sequences.present.sum())
 
     limits = np.log(list(LIMITS.values()))
     start = np.log([getattr(SmootherNoise(), name) for name in LIMITS])

@@ -25,7 +25,7 @@ class CoprocessError(ModsimError):
     def __init__(self, problem: str, stderr: str = "") -> None:
         """Join both into the message."""
         super().__init__(f"{problem}; standard error: {stderr}" if stderr else problem)
-        self.problem, self.said = problem, stderr
+        self.problem, self.stderr = problem, stderr
 
 
 class Coprocess:

@@ -70,7 +70,7 @@ class BoxSequences:
     """I sequences of boxes, each in rows 0 to at most L − 1 from its first detection on."""
 
     boxes_px: Array  # x_min, y_min, x_max, y_max; anything where there is no detection, shape (L, I, 4)
-    there: Mask  # where there is a detection; everywhere in row 0, shape (L, I)
+    present: Mask  # where there is a detection; everywhere in row 0, shape (L, I)
     time_s: Array  # since the row before, above 0, shape (L, I)
 
 
@@ -103,7 +103,7 @@ def filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[FilteredRow]
     motion = MotionEstimates.at(boxes[0], noise.variance_px2(boxes[0, :, 2:]), _FIRST_RATE_PX_S**2)
     rows = [FilteredRow(motion, motion, 0.0)]
     for row in range(1, len(boxes)):
-        present = sequences.there[row]
+        present = sequences.present[row]
         predicted = motion.predicted(sequences.time_s[row, :, None], noise.rate_walk_px_s)
         seen, measured = predicted.take(present), boxes[row, present]
         variance = noise.variance_px2(seen.place[:, 2:])
@@ -154,7 +154,7 @@ def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: Sm
     place, variance = (np.array([getattr(state, name) for state in motion]) for name in ("place", "place_variance"))
     row, column = np.nonzero(spans.frame != NOBODY)
     last = np.maximum.accumulate(spans.detection, axis=0)[row, column]  # a row's detection, or the last one before it
-    seen, frame = spans.sequences.there[row, column], spans.frame[row, column]
+    seen, frame = spans.sequences.present[row, column], spans.frame[row, column]
     size_px = np.array([camera.intrinsics.image_size_px for camera in rows.scene.cameras])[frame % cameras]
     boxes_px = clip(corner_form(np.maximum(place[row, column], [-np.inf, -np.inf, 1, 1])), size_px)
     return Tracks.of(

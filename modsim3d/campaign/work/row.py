@@ -134,7 +134,7 @@ def crashed_row(number: int, error: str, **more: str) -> dict[str, Any]:
 def error_and_said(error: Exception) -> tuple[str, str]:
     """An error as a row has it, and what a program wrote to standard error before it."""
     if isinstance(error, CoprocessError):
-        return f"{type(error).__name__}: {error.problem}", error.said
+        return f"{type(error).__name__}: {error.problem}", error.stderr
     return f"{type(error).__name__}: {error}", ""
 
 

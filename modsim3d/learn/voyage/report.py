@@ -313,17 +313,17 @@ def _box_error(error: ComponentNoise) -> dict[str, Any]:
 
 
 def _rates(rates: StateRates, level: float) -> dict[str, Any]:
-    def found(column: Column | None) -> dict[str, float] | None:
+    def content(column: Column | None) -> dict[str, float] | None:
         return None if column is None else column.content(level, rates.units)
 
     return {
         "state": rates.state,
         "unmatched": rates.unmatched,
-        "like_vessels": found(rates.vessel_share if rates.mixture else None),
-        "least": found(rates.lower),
-        "by_lifetimes": found(rates.mixture),
-        "most": found(rates.upper),
-        "in_empty_stretches": found(rates.empty),
+        "like_vessels": content(rates.vessel_share if rates.mixture else None),
+        "least": content(rates.lower),
+        "by_lifetimes": content(rates.mixture),
+        "most": content(rates.upper),
+        "in_empty_stretches": content(rates.empty),
         "used": rates.source.value,
     }
 

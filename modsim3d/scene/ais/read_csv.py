@@ -38,14 +38,14 @@ class Layout:
     time_format: str  # of `strptime`
     ships: frozenset[str]  # words in the column `station` that mean ships, in lower case
 
-    def found(self, header: Sequence[str]) -> dict[str, str]:
+    def columns_in(self, header: Sequence[str]) -> dict[str, str]:
         """Our name → the file's own name, of the columns that a header has."""
         names = {_plain_name(name): name for name in header}
         return {key: names[_plain_name(name)] for key, name in self.columns.items() if _plain_name(name) in names}
 
     def missing(self, header: Sequence[str]) -> list[str]:
         """Columns that a header lacks and must have."""
-        names = self.found(header)
+        names = self.columns_in(header)
         return [self.columns[name] for name in NEEDED if name not in names]
 
 
@@ -62,8 +62,10 @@ def layouts() -> tuple[Layout, ...]:
 def layout_of(header: Sequence[str]) -> Layout | None:
     """The layout that a header fits best, or None if it fits none. A layout that misses fewer of its needed columns
     comes first, because layouts share the names of many others."""
-    best = max(layouts(), key=lambda layout: (-len(layout.missing(header)), len(layout.found(header))))
-    telling = [name for name in best.found(header).values() if len(name.strip()) > 1]  # any table may have an A and a B
+    best = max(layouts(), key=lambda layout: (-len(layout.missing(header)), len(layout.columns_in(header))))
+    telling = [
+        name for name in best.columns_in(header).values() if len(name.strip()) > 1
+    ]  # any table may have an A and a B
     return best if len(telling) >= MIN_NAMES else None
 
 
@@ -166,7 +168,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
         while (line := stream.readline(MAX_LINE_BYTES)) and not line.strip():
             first_row += 1
         header = header_names(line)
-        columns = layout.found(header)
+        columns = layout.columns_in(header)
         for raw in _blocks(stream, path):
             block, begin = _plain(raw), first_row
             first_row += block.count(b"\n")

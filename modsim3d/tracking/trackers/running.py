@@ -245,7 +245,7 @@ def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, pro
             output = exchange.tracks(tracker.settings, progress)
         except ModsimError as error:
             failure = error if isinstance(error, CoprocessError) else program.error(str(error))
-            raise CoprocessError(f"{named}: {exchange.at}: {failure.problem}", failure.said) from error
+            raise CoprocessError(f"{named}: {exchange.at}: {failure.problem}", failure.stderr) from error
     took = np.array(exchange.seconds), program.peak_memory_mb
     if isinstance(output, list):
         times_s = scene.times_s(0, rows.steps)

@@ -214,14 +214,14 @@ MAX_DIGITS = 15  # whole numbers up to here are exact in the browser
 
 
 def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], packing.Columns]:
-    """Facts and columns from which the player has the texts of the steps' times; see `said`.
+    """Facts and columns from which the player has the texts of the steps' times; see `time_text`.
     Texts that are not plain decimals in their shortest form are stored as they are."""
     decimals = max((len(text.partition(".")[2]) for text in timestamps), default=0)
     if all(map(_DECIMAL.fullmatch, timestamps)):
         units = [_in_units(text, decimals) for text in timestamps]
         differences = np.diff(units, prepend=units[0])
         exact = max(map(abs, units)) < 10**MAX_DIGITS and np.abs(differences).max(initial=0) < MAX_DIFFERENCE
-        if exact and all(said(unit, decimals) == text for unit, text in zip(units, timestamps, strict=True)):
+        if exact and all(time_text(unit, decimals) == text for unit, text in zip(units, timestamps, strict=True)):
             facts = {"decimals": decimals, "first": units[0]}
             return facts, {"clock": packing.Codes(differences.astype(np.int32), by=packing.ROW_BEFORE)}
     return {}, {"clockTexts": np.frombuffer("\n".join(timestamps).encode("utf-8"), np.uint8)}
@@ -232,7 +232,7 @@ def _in_units(text: str, decimals: int) -> int:
     return int(whole + part.ljust(decimals, "0"))
 
 
-def said(units: int, decimals: int) -> str:
+def time_text(units: int, decimals: int) -> str:
     """A time in units of its last decimal as text, in its shortest form with at least one decimal."""
     digits = f"{abs(units):0{decimals + 1}d}"
     whole, part = digits[: len(digits) - decimals], digits[len(digits) - decimals :]

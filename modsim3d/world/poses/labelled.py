@@ -119,15 +119,15 @@ class LabelledPoses:
         """One of the sequences with its own steps and vessels, by its place."""
         own = self.sequences[number]
 
-        def ours(rows: Any) -> Any:
+        def own_part(rows: Any) -> Any:
             chosen = rows.take(rows.camera == number)
             return replace(chosen, step=np.searchsorted(own.steps, chosen.step), camera=np.zeros_like(chosen.camera))
 
-        boxes, results = ours(self.boxes), self.detections
+        boxes, results = own_part(self.boxes), self.detections
         used, vessel = np.unique(boxes.vessel, return_inverse=True)
         if results is not None:
             before = np.cumsum(self.boxes.camera == number) - 1
-            results = ours(results)
+            results = own_part(results)
             results = replace(results, row=np.where(results.row >= 0, np.append(before, NOBODY)[results.row], NOBODY))
         names = list(self.vessels)
         return replace(
@@ -136,7 +136,7 @@ class LabelledPoses:
             sequences=(replace(own, steps=np.arange(len(own.steps))),),
             vessels={names[index]: self.vessels[names[index]] for index in used.tolist()},
             boxes=replace(boxes, vessel=vessel),
-            regions=ours(self.regions),
+            regions=own_part(self.regions),
             detections=results,
             videos=len(self.sequences),
         )

@@ -109,7 +109,7 @@ class LastFit:
     aligned: Alignment
     linear: Linear  # near the values of the alignment, a column for each of `PROBED`
     effects: parameters.VesselEffects
-    known: Knowledge  # of the free shared values
+    knowledge: Knowledge  # of the free shared values
 
 
 def estimate(

@@ -341,7 +341,7 @@ class Aligner:
 
     model: BoxModel
     hiding: HidingBodies
-    found: BoxesAtTimes
+    boxes: BoxesAtTimes
     free: tuple[str, ...]  # names of the shared parameters that may change
     use_sizes: bool  # so that widths and heights count
 
@@ -349,7 +349,7 @@ class Aligner:
         """A rough alignment from a guess."""
         values = start
         for gate_deg, names in zip(GATES_DEG, (FIRST, THEN, SHARED_NAMES), strict=True):
-            predicted = predict(self.model, self.hiding, values, self.found.times_s)
+            predicted = predict(self.model, self.hiding, values, self.boxes.times_s)
             gate = np.radians(gate_deg) * self.model.traffic.camera.intrinsics.focal_px[0]
             sightings = self._match(predicted, gate + GATE_SHARE * sizes(predicted.boxes_px))
             aligned = self._fitted(sightings, values, self._unknowns(names), tied=True, most=ROUGH)
@@ -361,7 +361,7 @@ class Aligner:
     ) -> Alignment:
         """Match and fit until the matches stay, at most so many times."""
         for _ in range(rounds):
-            predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
+            predicted = predict(self.model, self.hiding, aligned.values, self.boxes.times_s)
             sightings = self._match(predicted, self._close_gates(aligned, predicted))
             before, aligned = aligned.sightings, self._fitted(sightings, aligned.values, unknowns, tied=tied)
             was, now = (seen.detection * len(self.model.hulls_m) + seen.vessel for seen in (before, sightings))
@@ -371,7 +371,7 @@ class Aligner:
 
     def matched(self, aligned: Alignment) -> Alignment:
         """The matches of the detections with the values of another alignment, and no fit."""
-        predicted = predict(self.model, self.hiding, aligned.values, self.found.times_s)
+        predicted = predict(self.model, self.hiding, aligned.values, self.boxes.times_s)
         sightings = self._match(predicted, self._close_gates(aligned, predicted))
         return self._fitted(sightings, aligned.values, self._unknowns(()), tied=False)
 
@@ -384,7 +384,7 @@ class Aligner:
         return self._unknowns(SHARED_NAMES)
 
     def _match(self, predicted: Predictions, gates_px: Array) -> Sightings:
-        return match(self.found, predicted, self.model.traffic.camera.intrinsics.image_size_px, gates_px)
+        return match(self.boxes, predicted, self.model.traffic.camera.intrinsics.image_size_px, gates_px)
 
     def _fitted(
         self, sightings: Sightings, start: Values, unknowns: Unknowns, *, tied: bool, most: int | None = None

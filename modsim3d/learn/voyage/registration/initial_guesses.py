@@ -234,7 +234,7 @@ STRETCHES = 12
 def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -> tuple[Values, list[Values]]:
     """The best start, and others whose clocks explain nearly as well, from an aligner of some frames, the greatest
     offset of the clock, and by how far places may be off. Raises ModsimError if none explains more than chance."""
-    model, detections, free = aligner.model, aligner.found, aligner.free
+    model, detections, free = aligner.model, aligner.boxes, aligner.free
     clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
     voted = search(model, detections, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))
     check_search(voted, model, detections, clocks, scene)
@@ -275,7 +275,7 @@ def explained(aligner: Aligner, aligned: Alignment) -> Array:
     residuals = aligned.residuals
     px = np.nan_to_num(residuals.px(aligner.model, aligned.values), nan=1e3)
     close = np.where(residuals.kind <= 3, 1 / (1 + (px / usual_px(residuals.size_px)) ** 2), 0.0)
-    times_s = aligner.found.times_s
+    times_s = aligner.boxes.times_s
     edges = np.linspace(times_s[0], times_s[-1], STRETCHES + 1)[1:-1]
     stretch = np.searchsorted(edges, residuals.sightings.time_s[residuals.row])
     return np.asarray(np.bincount(stretch, close, STRETCHES))

@@ -232,12 +232,12 @@ class _LastFit:
 def _best(aligner: Aligner, fits: Sequence[LastFit], free: tuple[str, ...]) -> tuple[LastFit, parameters.Knowledge]:
     """The fit that explains the detections best, with intervals that hold those nearly as good, too."""
     if len(fits) == 1:
-        return fits[0], fits[0].known
+        return fits[0], fits[0].knowledge
     scored = [(explained(aligner, fit.aligned), fit) for fit in fits]
     (most, best), *others = sorted(scored, key=lambda pair: -float(pair[0].sum()))
     values = best.aligned.values
     rivals = rivals_of(most, values, [(less, fit.aligned.values) for less, fit in others])
-    return best, parameters.covering(best.known, [rival.scaled(free) - values.scaled(free) for rival in rivals])
+    return best, parameters.covering(best.knowledge, [rival.scaled(free) - values.scaled(free) for rival in rivals])
 
 
 def _vessel_estimates(
