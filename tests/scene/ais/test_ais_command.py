@@ -224,7 +224,7 @@ def text_of(written: str) -> str:
     """What a reader sees: a line for each paragraph, caption and row of a table, its cells apart by bars."""
     body = re.sub(r"</(p|h1|h2|tr|figcaption)>", "\n", written.partition("<body>")[2])
     body = re.sub(r"</t[dh]>", "|", body)
-    return html.unescape(re.sub(r"<[^>]+>", "", body))
+    return html.unescape(re.sub(r"<[^>]+>", "", body)).replace("\xa0", " ")
 
 
 def mixed_log(folder: Path) -> Path:
