@@ -105,7 +105,7 @@ def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other
     assert all(1300 < each["in_view_m"] < 1510 and each["closest_m"] < 1350 for each in approaches)
     assert [each.outcome for each in done.verdicts] == ["undecided"] * 3
     assert done.verdicts[0].values == {"state": "haze"}
-    page = campaign_page(done.folder, done.table, done.verdicts)
+    page = campaign_page(done.folder, done.table, done.verdicts).replace("\xa0", " ")
     assert "From where on vessels are known" in page and "vessels known at 1,250 m, in 50 % of approaches" in page
     assert page.count("<title>Vessels of ") + page.count('aria-label="Vessels of 0 to 8 m"') == 1
     again = reproduce_run(done.folder.path, 1, tmp_path / "again")

@@ -29,7 +29,7 @@ def test_run_says_what_happened_writes_the_same_contact_sheet_again_and_ctrl_c_e
     def press_ctrl_c(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main, "_asked", press_ctrl_c)
+    monkeypatch.setattr(main, "_app_for", press_ctrl_c)
     assert command_line.call(monkeypatch, "run", "simulation_1") == 130
     assert capsys.readouterr().err == "modsim3d: interrupted\n"
 

@@ -200,8 +200,8 @@ def learn_voyage(
         attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
         match: As that of `modsim3d.learn_detector`; but if None, by centres where positions are not surely known.
-        conditions, states, least_iou, most_distance_px, confidence, replicates, seed, level, beta, false_positives,
-            without: As those of `modsim3d.learn_detector`.
+        conditions, states, false_positives, without: As those of `modsim3d.learn_detector`.
+        least_iou, most_distance_px, confidence, replicates, seed, level, beta: As those of the same.
 
     Raises:
         ModsimError: The scene or the log cannot be read, they do not fit each other, the camera cannot be registered,

@@ -21,7 +21,7 @@ from modsim3d.view.plan_marks import _approach
 from modsim3d.view.report import overview, part_columns, side_by_side
 from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows, VesselOutcome, steps_in_a_bin
 from modsim3d.view.report.packing import StretchesBuilder
-from modsim3d.view.report.recorder import clock, recording, said
+from modsim3d.view.report.recorder import clock, recording, time_text
 from modsim3d.view.report.report import parts_folder, write_report
 from modsim3d.view.report.side_by_side import check_same_truth, differences, paired_detections, write_side_by_side
 from modsim3d.world.poses.base import generated_timestamps
@@ -360,11 +360,11 @@ def test_stretches_cover_what_was_added_and_do_not_touch(pairs, part):
 
 @given(st.integers(-(10**6), 10**6), st.integers(1, 5000), st.integers(1, 4), st.integers(1, 30))
 def test_times_come_back_as_they_were_written(first, by, decimals, count):
-    texts = [said(first + i * by, decimals) for i in range(count)]
+    texts = [time_text(first + i * by, decimals) for i in range(count)]
     facts, columns = clock(texts)
     assert float(texts[0]) == pytest.approx(first / 10**decimals)
     units = facts["first"] + np.cumsum(columns["clock"].values)
-    assert [said(int(unit), facts["decimals"]) for unit in units] == texts
+    assert [time_text(int(unit), facts["decimals"]) for unit in units] == texts
 
 
 def test_times_of_a_scene_are_whole_numbers_and_those_that_are_no_plain_decimals_are_kept_as_they_are():
