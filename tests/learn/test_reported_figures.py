@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import modsim3d
+from benchmarks.voyages.cases import SHOEBOXES
 from modsim3d.core.errors import InputError
 from tests.command_line import call
 
@@ -21,7 +22,7 @@ def test_in_a_scene_of_its_own_it_has_precision_recall_and_mean_iou_of_the_repor
     asked = {"precision": 0.85, "recall": 0.75, "mean_iou": 0.72}
     made = modsim3d.learn_from_figures({"labels": ["boat", "sailboat", "ship"], **asked})
     assert made.contradictions == ()
-    scene = modsim3d.load_scene("strait", source="analytic", steps=60)
+    scene = modsim3d.load_scene("strait", source="analytic", steps=60, settings=SHOEBOXES)
     right, found, there, overlaps = 0, 0, 0, []
     truth = modsim3d.ManyDetections.of_scene(scene)
     for seed in range(24):

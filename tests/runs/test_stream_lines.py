@@ -18,6 +18,7 @@ import pytest
 import yaml
 
 import modsim3d
+from benchmarks.voyages.cases import SHOEBOXES
 from modsim3d import Scene, load_scene, run_scene
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.records import KINDS
@@ -34,7 +35,7 @@ PREFIX = re.compile(rb'\{"camera":("[^"]*"),"frames_in_step":([0-9]+),(?:"attitu
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     unit = {"imu": {"attitude_noise_rad": 0.01, "heading_bias_rad": 0.1}}
-    return load_scene("strait", steps=STEPS, source="analytic", settings=unit)
+    return load_scene("strait", steps=STEPS, source="analytic", settings={**SHOEBOXES, **unit})
 
 
 @pytest.fixture(scope="module")
