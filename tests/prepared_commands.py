@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import typer
-from pydantic import BaseModel
 
 import modsim3d
 from benchmarks.faults.commands import prepare
@@ -64,7 +63,9 @@ def serve(folder: Path) -> None:
         __import__(name)
     sys.modules["modsim3d.learn.self_check"].SEEDS = 2  # as in the process of the tests, and so is
     os.fsync = lambda _: None
-    for model in models(Strict):
+    models = [Strict]
+    for model in models:
+        models += model.__subclasses__()
         model.model_rebuild()
     typer.main.get_command = functools.cache(typer.main.get_command)
     commands = [typer.main.get_command(cli._app_for(name.split()[0])) for _, name, *_ in cli.COMMANDS]
@@ -98,11 +99,6 @@ def modules() -> list[str]:
     package = Path(modsim3d.__file__).parent
     names = [path.relative_to(package.parent).with_suffix("").parts for path in package.rglob("*.py")]
     return sorted(".".join(name) for name in names if not name[-1].startswith("__"))
-
-
-def models(of: type[BaseModel]) -> list[type[BaseModel]]:
-    """A model and all that are derived from it."""
-    return [of, *(each for derived in of.__subclasses__() for each in models(derived))]
 
 
 def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
