@@ -1,6 +1,8 @@
 """Folders of runs that tests make: what is in them, and runs that are interrupted."""
 
 import json
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,14 @@ import pytest
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.scene import Scene
+
+
+def wait_for(state: Callable[[], object]) -> None:
+    """Wait until there is something; the bound is only there so that a broken program fails and does not hang."""
+    deadline = time.monotonic() + 240
+    while not state():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.005)
 
 
 def finished(scene: Scene, folder: Path) -> StoredRun:

@@ -29,10 +29,9 @@ from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import WORLD_SCORES, world_column
 from modsim3d.cli.campaign_text import program_warnings
 from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, problems_of, run_campaign_file
-from tests.campaign.engines.campaigns import waited_for
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
 from tests.campaign.one_process import ThisProcess
-from tests.run_folders import run_files
+from tests.run_folders import run_files, wait_for
 from tests.scenes import crossing
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
@@ -88,9 +87,9 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 def test_24_runs_killed_interrupted_and_gone_on_with_end_as_if_nothing_had_been(folder: Path) -> None:
     line = "campaign run campaign.yaml --out stopped --workers 1 -q"
     with subprocess.Popen([sys.executable, "-m", "modsim3d", *line.split()], cwd=folder) as process:
-        waited_for(lambda: [*folder.glob("stopped/done/*.rows")])
+        wait_for(lambda: [*folder.glob("stopped/done/*.rows")])
         process.send_signal(signal.SIGKILL)
-    waited_for(lambda: not [each for each in Path("/proc").glob("[0-9]*/exe") if folder in each.resolve().parents])
+    wait_for(lambda: not [each for each in Path("/proc").glob("[0-9]*/exe") if folder in each.resolve().parents])
     with pytest.raises(KeyboardInterrupt):
         run_here(folder, "stopped", interrupt)
     gone_on, whole = run_here(folder, "stopped"), run_here(folder, "whole")

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
@@ -21,6 +20,7 @@ import pytest
 from modsim3d import ModsimError, detect_run, load_scene, open_run, run_scene
 from modsim3d.io.processes import MAX_WORKERS, _Processes, open_workers, parse_workers, worker_count
 from tests.cli.bad_input.builders import refusal
+from tests.run_folders import wait_for
 from tests.scenes import crossing
 
 
@@ -127,9 +127,7 @@ def open_argument(argument: ToldByOthers) -> Iterator[int]:
 def meet_another(folder: Path, piece: int) -> int:
     """Wait for another process that does a piece at the same time."""
     (folder / str(os.getpid())).touch()
-    deadline = time.monotonic() + 120
-    while len(list(folder.iterdir())) < 2 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(lambda: len(list(folder.iterdir())) > 1)
     return os.getpid()
 
 

@@ -27,7 +27,7 @@ from modsim3d.io.overwrite_guard import LOCK_FILE, locked_file, locked_folder
 from modsim3d.runs import pipeline
 from modsim3d.runs.files.block_files import finished_truth
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
-from tests.run_folders import interrupt, run_files
+from tests.run_folders import interrupt, run_files, wait_for
 
 BLOCK, STEPS = 75, 150  # two blocks
 
@@ -213,10 +213,8 @@ def stopped_after_a_block(out: Path, *options: object, by: signal.Signals = sign
     """A run that a signal has stopped after it has kept its first block."""
     command = [sys.executable, "-m", "modsim3d.cli.main", *RUN, "--out", str(out), *map(str, options)]
     running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + LONG_S
-    while not list((out / "unfinished").glob("truth_*.npz")):
-        assert running.poll() is None and time.monotonic() < deadline
-        time.sleep(0.005)
+    wait_for(lambda: list((out / "unfinished").glob("truth_*.npz")) or running.poll() is not None)
+    assert running.poll() is None
     running.send_signal(by)
     return running
 

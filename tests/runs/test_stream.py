@@ -19,6 +19,7 @@ from modsim3d.runs.files import tables
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import LivePoses, follow, read_steps
 from tests.cli.bad_input.builders import at, refusal
+from tests.run_folders import wait_for
 from tests.scenes import camera_keys, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -143,11 +144,7 @@ def process(program, path, out):
 
 
 def wait_for_lines(path, count):
-    """Until a file has that many lines; the bound is only there so that a broken program fails and does not hang."""
-    give_up = time.monotonic() + 240
-    while not path.exists() or path.read_bytes().count(b"\n") < count:
-        assert time.monotonic() < give_up, f"{path} never had {count} lines"
-        time.sleep(0.01)
+    wait_for(lambda: path.exists() and path.read_bytes().count(b"\n") >= count)
     return path.read_bytes()
 
 

@@ -20,7 +20,7 @@ from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.runs import pipeline, workers
 from modsim3d.runs.pipeline import Simulation, block_ranges, truth_block
 from modsim3d.truth.record import COLUMNS, concatenate
-from tests.run_folders import run_files
+from tests.run_folders import run_files, wait_for
 from tests.scenes import outlines_of, vessel
 
 
@@ -60,7 +60,7 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     single = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
     running = started([*command, "--workers", "2", "--out", tmp_path / "run"], **single)
     parts = tmp_path / "run" / "unfinished"
-    wait_for(lambda: list(parts.glob("truth_*.npz")), running)
+    wait_for(lambda: list(parts.glob("truth_*.npz")) or running.poll() is not None)
     (worker,) = Path(f"/proc/{running.pid}/task/{running.pid}/children").read_text().split()
     os.kill(int(worker), signal.SIGKILL)
     _, said = running.communicate(timeout=90)
@@ -76,13 +76,6 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     assert run_files(tmp_path / "run") == run_files(tmp_path / "whole")
 
 
-def wait_for(state, running):
-    """Wait until there is something, or the process has ended."""
-    deadline = time.monotonic() + 90
-    while not state() and time.monotonic() < deadline and running.poll() is None:
-        time.sleep(0.02)
-
-
 def test_workers_without_a_renderer_say_what_one_process_says_and_an_interrupted_one_how_to_go_on(prepared, tmp_path):
     said = []
     how = {"capture_output": True, "text": True, "timeout": 60, "env": {**os.environ, "MODSIM3D_GL": "nonsense"}}
@@ -96,7 +89,7 @@ def test_workers_without_a_renderer_say_what_one_process_says_and_an_interrupted
     command = [prepared, "run", "simulation_2", "--no-sheet", "--set", "annotation.render=full"]
     (tmp_path / "first.py").write_text(SHORT_BLOCKS)
     running = started([*command, "--out", tmp_path / "run"], FIRST=str(tmp_path / "first.py"))
-    wait_for(lambda: list((tmp_path / "run" / "unfinished").glob("truth_*.npz")), running)
+    wait_for(lambda: list((tmp_path / "run" / "unfinished").glob("truth_*.npz")) or running.poll() is not None)
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=60)
     assert running.returncode == 130 and "go on with --resume" in said and "Traceback" not in said

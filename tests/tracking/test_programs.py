@@ -30,9 +30,8 @@ from modsim3d.tracking.scores.scoring import Part, SubsetScores
 from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracking.trackers.registry import command_tracker
 from modsim3d.tracking.world.collision import MetVessel
-from tests.campaign.engines.campaigns import waited_for
 from tests.plugin_site import site
-from tests.run_folders import finished
+from tests.run_folders import finished, wait_for
 
 SCHEMA = json.loads((files("modsim3d.plugins") / "tracker_command.json").read_text(encoding="utf-8"))
 RECORDER = """\
@@ -243,11 +242,11 @@ def family(tmp_path: Path) -> Iterator[Path]:
 def test_nothing_is_left_after_an_interrupt_or_a_kill(run: StoredRun, family: Path, number: signal.Signals) -> None:
     modsim3d_there = [sys.executable, "-m", "modsim3d", "track", str(run.folder), "--out", "t"]
     with subprocess.Popen([*modsim3d_there, "--command", "sh stall.sh", "-q"], cwd=family, env=os.environ) as process:
-        waited_for((family / "family").exists)
+        wait_for((family / "family").exists)
         process.send_signal(number)
         assert process.wait(120) != 0
     numbers = (family / "family").read_text().split()
-    waited_for(lambda: not any(Path("/proc", each).exists() for each in numbers))
+    wait_for(lambda: not any(Path("/proc", each).exists() for each in numbers))
     assert not (family / "t").exists() or number == signal.SIGKILL
 
 
@@ -258,7 +257,7 @@ def test_what_a_program_left_is_ended_with_its_run(run: StoredRun, tmp_path: Pat
     with pytest.raises(ModsimError, match="did not end within 3 s after the end of its input"):
         modsim3d.track_run(run, tmp_path / "t", command=["sh", "-c", f"cd {tmp_path} && . ./leaves.sh"], timeout_s=3)
     numbers = (tmp_path / "left").read_text().split()
-    waited_for(lambda: not any(Path("/proc", each).exists() for each in numbers))  # the system reaps them
+    wait_for(lambda: not any(Path("/proc", each).exists() for each in numbers))  # the system reaps them
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler of C++")

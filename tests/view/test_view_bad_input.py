@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import pytest
 from modsim3d import load_scene, run_scene
 from modsim3d.runs import pipeline
 from tests.cli.bad_input.builders import answer, refusal
-from tests.run_folders import interrupt
+from tests.run_folders import interrupt, wait_for
 from tests.scenes import write_scene
 
 
@@ -167,10 +166,8 @@ def stalled(run, prepared, tmp_path_factory):
         command, where = [*program, *arguments], {"PYTHONPATH": path, **threads} if alone else {"FIRST": str(first)}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
         drawing = subprocess.Popen([*map(str, command)], env={**os.environ, **where}, **pipes)
-        while not reached.exists():
-            if drawing.poll() is not None:
-                raise AssertionError(drawing.communicate()[1])
-            time.sleep(0.02)
+        wait_for(lambda: reached.exists() or drawing.poll() is not None)
+        assert reached.exists(), drawing.communicate()[1]
         return drawing
 
     return begin
@@ -180,14 +177,9 @@ def entries(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def all_end(folder, within_s=120):
-    """Whether all encoders that write to a folder end soon: they are asked to when the command does."""
-    last_s = time.monotonic() + within_s
-    while any(encodes(path, folder) for path in Path("/proc").glob("[0-9]*/cmdline")):
-        if time.monotonic() > last_s:
-            return False
-        time.sleep(0.05)
-    return True
+def wait_for_encoders(folder):
+    """All that write to a folder end soon: they are asked to when the command does."""
+    wait_for(lambda: not any(encodes(path, folder) for path in Path("/proc").glob("[0-9]*/cmdline")))
 
 
 def encodes(path, folder):
@@ -206,13 +198,15 @@ def test_a_stopped_film_leaves_nothing(stalled, tmp_path, name, number):
     drawing.send_signal(number)
     _, said = drawing.communicate(timeout=240)
     assert drawing.returncode == 128 + number and "no film was written" in said and "Traceback" not in said
-    assert entries(tmp_path) == [] and all_end(tmp_path)
+    wait_for_encoders(tmp_path)
+    assert entries(tmp_path) == []
 
 
 def test_a_failing_film_leaves_nothing_and_a_stopped_one_replaces_nothing_and_said_what_comes(stalled, tmp_path):
     drawing = stalled(tmp_path / "film.mp4", then="raise ZeroDivisionError")
     drawing.communicate(timeout=240)
-    assert drawing.returncode != 0 and entries(tmp_path) == [] and all_end(tmp_path)
+    wait_for_encoders(tmp_path)
+    assert drawing.returncode != 0 and entries(tmp_path) == []
     (tmp_path / "film.mp4").write_bytes(b"the film before")
     drawing = stalled(tmp_path / "film.mp4", "--overwrite", frame=1)
     assert drawing.stderr is not None

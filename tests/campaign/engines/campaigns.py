@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.task import Task
 from modsim3d.campaign.workers import Engine
 from tests.campaign.one_process import ThisProcess
-from tests.run_folders import run_files
+from tests.run_folders import run_files, wait_for
 
 MORTAL = ("exit", "nothing", "segfault", "kill", "term", "interrupt")  # ends of the process of the tracker `mortal`
 _DEATHS = ", ".join(f"{{tracker: mortal, name: {how}, set: {{how: {how}}}}}" for how in MORTAL)
@@ -79,7 +78,7 @@ class Campaigns:
         hold.mkdir()
 
         def waiting(count: int = 1) -> list[int]:
-            waited_for(lambda: len(list(hold.iterdir())) >= count)
+            wait_for(lambda: len(list(hold.iterdir())) >= count)
             return [int(path.name) for path in hold.iterdir()]
 
         try:
@@ -99,13 +98,6 @@ class Campaigns:
 def content(folder: Path) -> Content:
     """All files of a campaign's folder by their paths; the log names times."""
     return run_files(folder, "campaign.log")
-
-
-def waited_for(what: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 240
-    while not what():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
 
 
 def alive(process: int) -> bool:

@@ -17,7 +17,8 @@ from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.work.task import TaskReport
 from modsim3d.campaign.workers import Death
 from modsim3d.core.errors import ModsimError
-from tests.campaign.engines.campaigns import Campaigns, alive, waited_for
+from tests.campaign.engines.campaigns import Campaigns, alive
+from tests.run_folders import wait_for
 
 
 def free_port() -> int:
@@ -41,7 +42,7 @@ class Cluster:
 
     def start_scheduler(self) -> subprocess.Popen[bytes]:
         started = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self._port), "--no-dashboard")
-        waited_for(lambda: answers(self._port))
+        wait_for(lambda: answers(self._port))
         return started
 
     def start_worker(self) -> subprocess.Popen[bytes]:
@@ -105,7 +106,7 @@ def test_a_run_ends_its_process_the_worker_stays_and_what_is_not_wanted_is_ended
             engine.submit(task)
         (worker,) = waiting()  # a single one: the second thread waits
         engine.close()
-        waited_for(lambda: not alive(worker))
+        wait_for(lambda: not alive(worker))
 
 
 def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Cluster, out: Path) -> None:
@@ -142,14 +143,14 @@ def test_workers_and_the_scheduler_are_lost_and_others_come(campaigns: Campaigns
         scheduler, first = made._processes
         engine = DaskEngine(made.address)
         engine.submit(tasks[0])
-        waited_for(tasks[0].path.exists)
+        wait_for(tasks[0].path.exists)
         first.kill()  # after it has finished, before anybody has asked for the result
         with campaigns.holding() as waiting:
             second = made.start_worker()  # it was not there when the task was handed in
             engine.submit(tasks[1])
             (killed,) = waiting()
             second.kill()  # in the middle; its process ends with it
-            waited_for(lambda: not alive(killed))
+            wait_for(lambda: not alive(killed))
             scheduler.kill()
             scheduler.wait()
             made.start_scheduler()
@@ -204,7 +205,7 @@ def test_jobs_make_the_runs_and_end_with_the_campaign(campaigns: Campaigns, slur
         campaigns.check_end(slurm / "out", lambda: SlurmEngine(1))
     assert "#SBATCH --cpus-per-task=1" in (slurm / "script").read_text()
     (job,) = jobs_in(slurm)
-    waited_for(lambda: not alive(job))
+    wait_for(lambda: not alive(job))
 
 
 def test_a_configuration_without_cores_is_told() -> None:

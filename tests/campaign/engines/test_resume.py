@@ -32,8 +32,9 @@ from modsim3d.campaign.workers import CampaignWorker, Death, ProcessPool
 from modsim3d.core.document import Text
 from modsim3d.core.errors import ModsimError, OutputError
 from tests.campaign.campaigns import Losing, Shuffled, interrupt, no_engine
-from tests.campaign.engines.campaigns import MORTAL, Campaigns, Content, alive, content, waited_for
+from tests.campaign.engines.campaigns import MORTAL, Campaigns, Content, alive, content
 from tests.campaign.one_process import ThisProcess
+from tests.run_folders import wait_for
 
 STEPS = [(module, name) for module in (done_rows, folder) for name in ("make_folder", "sync_file", "sync_folder")]
 STEPS += [(folder.shutil, "rmtree"), (done_rows, "write_files"), (running, "remove_done"), (running, "write_verdicts")]
@@ -243,7 +244,7 @@ def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(campai
         workers = waiting(count)
         coordinator.send_signal(number)
         assert coordinator.wait(120) in (-number, 1)
-        waited_for(lambda: not any(map(alive, workers)))
+        wait_for(lambda: not any(map(alive, workers)))
     campaigns.check_end(out)
 
 

@@ -1,12 +1,12 @@
 """The run's page in use: its clock and moments, its address, mouse and fingers on the image, boxes under them."""
 
 import json
-import time
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from tests.run_folders import wait_for
 from tests.view.report.conftest import STEPS
 
 CLOCK = """(() => {
@@ -147,9 +147,7 @@ def test_the_link_is_copied_or_offered_in_a_field_and_the_picture_is_saved_with_
     link = browser.run("location.href")
     assert browser.run(field) == [link, len(link)]
     browser.click("[data-do=save]")
-    path, deadline = tmp_path / "simulation_3_C1_41.png", time.monotonic() + 120
-    while not path.is_file() and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_for((path := tmp_path / "simulation_3_C1_41.png").is_file)
     with Image.open(path) as image:
         saved = image.convert("L")
     wide, high = browser.run("[player.pane.canvas.width, player.pane.canvas.height]")
