@@ -292,7 +292,7 @@ def _earlier_scores(plan: Plan, case: Case, requirement: Requirement, like: Plan
     """Mean and spread of an earlier campaign, of the same trackers and values; None with fewer than two seeds."""
     labels, condition = [entry.label for entry in like.keys.trackers], plan.conditions[case.condition]
     wanted = condition.values, value_of(condition, SCENE)
-    same = [place for place, cell in enumerate(like.conditions) if (cell.values, value_of(cell, SCENE)) == wanted]
+    same = [place for place, other in enumerate(like.conditions) if (other.values, value_of(other, SCENE)) == wanted]
     if not same or not set(labels_of(plan, case)) <= set(labels):
         return None
     tracker, *minus = (labels.index(label) for label in labels_of(plan, case))

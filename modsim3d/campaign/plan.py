@@ -274,8 +274,8 @@ def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
     named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]
     parts: list[RunPart | None] = [*dict.fromkeys(named)]
     chosen = [index for index, condition in enumerate(plan.conditions) if selects(wanted, condition)]
-    trackers = [index for index, keys in enumerate(plan.keys.trackers) if labels is None or keys.label in labels]
-    minus = next((index for index, keys in enumerate(plan.keys.trackers) if keys.label == requirement.minus), None)
+    trackers = [index for index, entry in enumerate(plan.keys.trackers) if labels is None or entry.label in labels]
+    minus = next((index for index, entry in enumerate(plan.keys.trackers) if entry.label == requirement.minus), None)
     cases = ((tracker, condition) for tracker in trackers for condition in chosen)
     return [Case(*pair, part, minus) for pair in cases for part in parts or [None]]
 

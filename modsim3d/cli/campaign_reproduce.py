@@ -126,7 +126,7 @@ def _score_rows(campaign: CampaignFolder, again: ReproducedRun) -> list[tuple[st
     row, before = again.row or {}, again.before or {}
     forms = {key: (name, decimals) for name, key, decimals in COLUMNS}
     keys = dict.fromkeys(
-        [*(column for demand in campaign.keys.require for column in columns_of(campaign.plan, demand)), *forms]
+        [*(column for entry in campaign.keys.require for column in columns_of(campaign.plan, entry)), *forms]
     )
     rows = [
         (forms.get(key, (key, 3))[0], *(number(side.get(key), forms.get(key, (key, 3))[1]) for side in (before, row)))

@@ -49,19 +49,19 @@ def plan_rows(campaign: CheckedCampaign) -> list[tuple[str, str]]:
 
 
 def _scenes(campaign: CheckedCampaign) -> str:
-    names = {Path(condition.scene).stem: facts for condition, facts in _pairs(campaign)}
+    names = dict(_scene_facts(campaign))
     texts = [name if facts.traffic_has_seed else f"{name} (this traffic only)" for name, facts in names.items()]
     steps = campaign.file.keys.steps
     return listed(texts) + ("" if steps is None else f", {counted(steps, 'step')}")
 
 
-def _pairs(campaign: CheckedCampaign) -> Iterable[tuple[Any, Any]]:
-    return zip(campaign.plan.conditions, campaign.facts, strict=True)
+def _scene_facts(campaign: CheckedCampaign) -> Iterable[tuple[str, Any]]:
+    return zip((Path(entry.scene).stem for entry in campaign.plan.conditions), campaign.facts, strict=True)
 
 
 def traffic_warnings(campaign: CheckedCampaign) -> list[str]:
     """Scenes whose results are of one traffic only."""
-    fixed = dict.fromkeys(Path(cell.scene).stem for cell, facts in _pairs(campaign) if not facts.traffic_has_seed)
+    fixed = dict.fromkeys(name for name, facts in _scene_facts(campaign) if not facts.traffic_has_seed)
     if not fixed:
         return []
     traffic = "the traffic of each" if len(fixed) > 1 else "the traffic"

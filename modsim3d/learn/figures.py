@@ -208,7 +208,7 @@ class Matches:
             ),
             average_precision=by_label,
             mean_average_precision=by_label
-            and AveragePrecisions(*(_average(area, np.ones_like(area.values), area.counts.sum()) for area in by_label)),
+            and AveragePrecisions(*(_average(form, np.ones_like(form.values), form.counts.sum()) for form in by_label)),
             confidence_entropy=self._confidence_entropy(images),
             label_entropy=self._label_entropy(images),
         )

@@ -181,9 +181,9 @@ def _compare(report: Report, key: str, of_matrix: Array, contradictions: list[st
     reported, names = report.of_labels(key), [f" of {name}" for name in report.labels]
     if not isinstance(getattr(report, key), Mapping):
         of_matrix, names = of_matrix.mean(keepdims=True), [""]
-    for name, value, counts in zip(names, [] if reported is None else reported, of_matrix, strict=False):
-        if abs(value - counts) > NOTICEABLE:
-            contradictions.append(f"{key}{name} is {value:.3g}, and {counts:.3g} by the matrix, which counts")
+    for name, value, by_matrix in zip(names, [] if reported is None else reported, of_matrix, strict=False):
+        if abs(value - by_matrix) > NOTICEABLE:
+            contradictions.append(f"{key}{name} is {value:.3g}, and {by_matrix:.3g} by the matrix, which counts")
 
 
 # ---- Figures that a detector gives back, from simulated boxes without images ----

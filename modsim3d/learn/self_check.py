@@ -94,9 +94,9 @@ def self_check(learned: Estimates, settings: LearnSettings, seeds: int) -> tuple
     observed = learned.observed
     half = _first_half(observed)
     compared: list[dict[str, RealityComparison]] = []
-    for number, images in enumerate((half, ~half)):
-        unseen = replace(observed, image_state=np.where(images, observed.image_state, -1))
-        seen = replace(observed, image_state=np.where(images, -1, observed.image_state))
+    for number, mask in enumerate((half, ~half)):
+        unseen = replace(observed, image_state=np.where(mask, observed.image_state, -1))
+        seen = replace(observed, image_state=np.where(mask, -1, observed.image_state))
         if not len(unseen.found) or not len(seen.found):
             raise ModsimError("one half of the data has no matches, so nothing learned from the other can be checked")
         real, drawn = counts_of(unseen, observed) | hota_counts(unseen), []
@@ -349,7 +349,7 @@ class _Films:
             facts = CameraFacts(f"film {number}", (int(width), int(height)), rate_hz, tuple(observed.labelled.labels))
             answers.append(answered(named, facts, times_s, replace(here, frame=here.frame // self.count)))
             frames.append(answers[-1].frame * self.count + number)
-        track, boxes_px = (np.concatenate([getattr(film, name) for film in answers]) for name in ("track", "boxes_px"))
+        track, boxes_px = (np.concatenate([getattr(part, name) for part in answers]) for name in ("track", "boxes_px"))
         return Tracks.of(self.count, np.concatenate(frames), track, boxes_px)
 
 

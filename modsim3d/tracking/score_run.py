@@ -199,13 +199,13 @@ def _camera_indices(run: StoredRun, cameras: str | Sequence[str] | None) -> tupl
     return tuple(index for index, name in enumerate(names) if name in asked)
 
 
-def _one_sided(file: TrackSet, run: StoredRun) -> ModsimError:
+def _one_sided(track_set: TrackSet, run: StoredRun) -> ModsimError:
     every = [f"--camera {camera.name}" for camera in run.scene.cameras]
-    some = [f"--camera {camera.name}" for camera in run.scene.cameras if camera.name not in file.unnamed]
+    some = [f"--camera {camera.name}" for camera in run.scene.cameras if camera.name not in track_set.unnamed]
     return ModsimError(
-        f"the tracks '{file.name}' have no line of camera {' and '.join(map(shown, file.unnamed))}, where every vessel "
-        f"would count as missed: score the others with {' '.join(some)}; if the tracker found nothing there, give "
-        f"{' '.join(every)}"
+        f"the tracks '{track_set.name}' have no line of camera {' and '.join(map(shown, track_set.unnamed))}, where "
+        f"every vessel would count as missed: score the others with {' '.join(some)}; if the tracker found nothing "
+        f"there, give {' '.join(every)}"
     )
 
 

@@ -233,11 +233,11 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         groups = [(".true", law.true, true), (".false", law.false, false)]
         if law.true is law.false:
             groups = [("", law.true, ScoredDetections.join([true, false]))]
-        for name, scores, boxes in groups:
+        for name, scores, sample in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [
                 Parameter(f"{path}.{entry}", DetectorPart.CONFIDENCE, measure, asked, state=state.name).unless(note)
-                for entry, asked, measure in _measures(law, scores, boxes, threshold, model.persistence)
+                for entry, asked, measure in _measures(law, scores, sample, threshold, model.persistence)
             ]
     if model.persistence.score is None:
         persistence = None if note else score_persistence(model, evidence)
@@ -270,11 +270,11 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDete
     return of_rows(true, instances.state[true.instance] == s), of_rows(false, false.state == s)
 
 
-def levels_of(law: StateConfidence, scores: ConfidenceLaw, boxes: ScoredDetections) -> tuple[Array, Array] | None:
+def levels_of(law: StateConfidence, scores: ConfidenceLaw, sample: ScoredDetections) -> tuple[Array, Array] | None:
     """Least and greatest level of each score in one of a state's laws, shapes (n,); None if its levels are unknown."""
     check = confidence.LEVELS.get(model_name(confidence.SCORES, scores))
-    shift = -law.visibility_slope * boxes.hidden - law.size_slope * boxes.halvings
-    return None if check is None else check(scores, boxes.scores, shift)
+    shift = -law.visibility_slope * sample.hidden - law.size_slope * sample.halvings
+    return None if check is None else check(scores, sample.scores, shift)
 
 
 Slope = tuple[str, float, Array]  # name of a slope, its value, and what it adds to the mean of each detection per unit
@@ -282,38 +282,39 @@ Number = tuple[str, float, Measure | None]  # name, asked value and measure of o
 
 
 def _measures(
-    law: StateConfidence, scores: ConfidenceLaw, boxes: ScoredDetections, threshold: float, persistence: Persistence
+    law: StateConfidence, scores: ConfidenceLaw, sample: ScoredDetections, threshold: float, persistence: Persistence
 ) -> list[Number]:
-    own = ("visibility_slope", law.visibility_slope, -boxes.hidden), ("size_slope", law.size_slope, -boxes.halvings)
+    own = ("visibility_slope", law.visibility_slope, -sample.hidden), ("size_slope", law.size_slope, -sample.halvings)
     check = SCORE_CHECKS.get(model_name(confidence.SCORES, scores))
     persists = persistence.confidence_s > 0 or persistence.score is not None
-    kept = KeptScores(boxes.tracks, boxes.times_s, persistence.confidence_s, persistence.score) if persists else None
-    return [] if check is None else check(scores, [slope for slope in own if slope[1]], boxes, threshold, kept)
+    kept = KeptScores(sample.tracks, sample.times_s, persistence.confidence_s, persistence.score) if persists else None
+    return [] if check is None else check(scores, [slope for slope in own if slope[1]], sample, threshold, kept)
 
 
 def _quantiles(
-    scores: QuantileScores, slopes: list[Slope], boxes: ScoredDetections, threshold: float, kept: KeptScores | None
+    scores: QuantileScores, slopes: list[Slope], sample: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
-    independent = len(boxes.scores) / (1.0 if kept is None else kept.of_shares)
+    independent = len(sample.scores) / (1.0 if kept is None else kept.of_shares)
     if slopes or independent < MIN_DETECTIONS:
         return [("law", 0.0, None)]
-    law = Law.of(boxes.scores, scores.quantiles.clip(threshold, 1))
+    law = Law.of(sample.scores, scores.quantiles.clip(threshold, 1))
     return [("law", 0.0, law if kept is None else replace(law, count=independent))]
 
 
 def _normal(
-    scores: NormalScores, slopes: list[Slope], boxes: ScoredDetections, threshold: float, kept: KeptScores | None
+    scores: NormalScores, slopes: list[Slope], sample: ScoredDetections, threshold: float, kept: KeptScores | None
 ) -> list[Number]:
-    count, own = len(boxes.scores), [slope for _, slope, _ in slopes]
+    count, own = len(sample.scores), [slope for _, slope, _ in slopes]
     names = ["mean", "std", *(name for name, _, _ in slopes)]
     measures: Sequence[Measure | None] = [None] * len(names)
     if scores.std == 0 and count >= MIN_DETECTIONS:
         shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(count))
-        wrong = int((np.abs(boxes.scores - np.clip(scores.mean + shift, threshold, 1)) > 1e-12).sum())
+        wrong = int((np.abs(sample.scores - np.clip(scores.mean + shift, threshold, 1)) > 1e-12).sum())
         return [("std", 0.0, Exact(wrong, count))]
     if count >= MIN_DETECTIONS:
         design = np.column_stack([np.ones(count), *(amount for _, _, amount in slopes)])
-        measures = TobitModel(boxes.scores, design, threshold, kept).measures(np.array([scores.mean, *own]), scores.std)
+        model = TobitModel(sample.scores, design, threshold, kept)
+        measures = model.measures(np.array([scores.mean, *own]), scores.std)
     return list(zip(names, [scores.mean, scores.std, *own], measures, strict=True))
 
 

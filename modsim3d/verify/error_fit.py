@@ -308,10 +308,10 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
         row = false.frame_row[false.state == s]
         vessels = evidence.images_of(instance), evidence.instances.vessel[instance]
         places = vessels, (row, np.full(len(row), NO_VESSEL))
-        for scores, boxes, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
-            levels = levels_of(law, scores, boxes)
+        for scores, sample, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
+            levels = levels_of(law, scores, sample)
             if levels is not None:
-                level = drawn_levels(levels, boxes.scores, model.confidence_threshold, rng)
+                level = drawn_levels(levels, sample.scores, model.confidence_threshold, rng)
                 parts.append((*place, special.ndtri(np.clip(level, _MIN_LEVEL, 1 - _MIN_LEVEL))))
     if not parts:
         return none_of(Draw.CONFIDENCE, "")

@@ -207,15 +207,17 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
 
 
 def _table(plan: Plan, requirement: Requirement, verdicts: Sequence[Verdict]) -> Iterator[Block]:
-    ordered = sorted(verdicts, key=lambda case: ORDER.index(case.outcome))
+    ordered = sorted(verdicts, key=lambda verdict: ORDER.index(verdict.outcome))
     shown = ordered[:MAX_ROWS]
     of_mean = requirement.share is None
     limit = requirement.threshold if requirement.share is None else requirement.share
     least = not of_mean or requirement.at_least is not None  # the interval must lie above the limit
-    span = span_of([limit, *(or_nan(value) for case in shown for value in (case.estimate, case.low, case.high))])
+    values = (value for verdict in shown for value in (verdict.estimate, verdict.low, verdict.high))
+    span = span_of([limit, *map(or_nan, values)])
     span = span if of_mean else (max(0.0, span[0]), min(1.0, span[1]))
     keys, groups = varying(plan), groups_of(plan, requirement)
-    levels = ", ".join(dict.fromkeys(percent(case.confidence) for case in shown)) or percent(requirement.confidence)
+    confidences = [verdict.confidence for verdict in shown] or [requirement.confidence]
+    levels = ", ".join(dict.fromkeys(map(percent, confidences)))
     share = "share of seeds" if requirement.known_at_m is None else "share of approaches"
     interval = f"{'mean' if of_mean else share} [interval, each end {levels}]"
     interval = "worst run" if of_mean and requirement.of_time else interval
@@ -223,28 +225,28 @@ def _table(plan: Plan, requirement: Requirement, verdicts: Sequence[Verdict]) ->
     axis = f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side}"
     header = ("tracker", *key_columns(keys), *groups, "outcome", interval, axis, *OFTEN_EMPTY, "seeds")
 
-    def row(case: Verdict) -> Row:
-        ends = ChartInterval(or_nan(case.estimate), or_nan(case.low), or_nan(case.high))
-        estimate = three_digits_with_interval(case.estimate, ends.low, ends.high)
+    def row(verdict: Verdict) -> Row:
+        ends = ChartInterval(or_nan(verdict.estimate), or_nan(verdict.low), or_nan(verdict.high))
+        estimate = three_digits_with_interval(verdict.estimate, ends.low, ends.high)
         label = f"{estimate} against {three_digits(limit)}"
         return (
-            case.tracker,
-            *condition_cells(plan, case.condition, keys),
-            *(str(case.values[group]) for group in groups),
-            SIGNS[case.outcome],
+            verdict.tracker,
+            *condition_cells(plan, verdict.condition, keys),
+            *(str(verdict.values[group]) for group in groups),
+            SIGNS[verdict.outcome],
             estimate,
             Cell("", draw=partial(strip, ends, limit, least, span, label)),
-            *(f"{count:,}" for count in (case.crashed, case.nothing, case.undefined, case.seeds)),
+            *(f"{count:,}" for count in (verdict.crashed, verdict.nothing, verdict.undefined, verdict.seeds)),
         )
 
-    rows = [row(case) for case in shown]
+    rows = [row(verdict) for verdict in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
-    bad = {place for place, case in enumerate(shown) if case.outcome == "failed"}
-    table = Table("", names, kept, bad, notes={place: _note(case, limit) for place, case in enumerate(shown)})
+    bad = {place for place, verdict in enumerate(shown) if verdict.outcome == "failed"}
+    table = Table("", names, kept, bad, notes={place: _note(verdict, limit) for place, verdict in enumerate(shown)})
     if len(rows) > MAX_OPEN:
-        first = sum(case.outcome != "met" for case in shown)
+        first = sum(verdict.outcome != "met" for verdict in shown)
         yield Fold(f"All {counted(len(rows), 'verdict')}, failed ones first", [table], 0 < first <= MAX_OPEN)
-    elif all(case.outcome == "met" for case in verdicts):
+    elif all(verdict.outcome == "met" for verdict in verdicts):
         yield Fold(f"{counted(len(rows), 'verdict')}, all met", [table])
     else:
         yield table
@@ -252,11 +254,12 @@ def _table(plan: Plan, requirement: Requirement, verdicts: Sequence[Verdict]) ->
         yield Text(f"{len(ordered) - MAX_ROWS:,} more verdicts are in verdicts.json.", "soft")
 
 
-def _note(case: Verdict, limit: float) -> str:
+def _note(verdict: Verdict, limit: float) -> str:
     """Reason why a verdict is what it is, where that is more than its interval says as printed."""
-    if case.qualified or case.low is None or case.high is None:
-        return case.why
-    return case.why if three_digits(limit) in three_digits_with_interval(case.estimate, case.low, case.high) else ""
+    if verdict.qualified or verdict.low is None or verdict.high is None:
+        return verdict.why
+    interval = three_digits_with_interval(verdict.estimate, verdict.low, verdict.high)
+    return verdict.why if three_digits(limit) in interval else ""
 
 
 def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdict]]:

@@ -116,7 +116,7 @@ def levels_of(plan: Plan) -> Levels:
     """The levels of a campaign."""
     errors = [1 - plan.keys.require[place].confidence for place, _ in cases_of_all(plan)]
     greatest, sequential = max(errors, default=0.0), plan.keys.stop == "sequential"
-    measured = not sequential and any(demand.share is None for demand in plan.keys.require if not demand.of_time)
+    measured = not sequential and any(entry.share is None for entry in plan.keys.require if not entry.of_time)
     family = plan.keys.level == "family"
     total = min(sum(errors), 2 * greatest) if family else sum(errors)
     return Levels(len(errors), greatest, greatest, greatest, min(1.0, total), total, sequential, measured, family)
@@ -187,8 +187,8 @@ def _column(requirement: Requirement, group: str) -> str:
 def cases_of_all(plan: Plan, *, of_time: bool = False) -> list[tuple[int, Case]]:
     """The place of a requirement and a case of it, for each verdict: those on scores, or those on what runs took, which
     stand apart."""
-    required = [(place, demand) for place, demand in enumerate(plan.keys.require) if demand.of_time == of_time]
-    return [(place, case) for place, demand in required for case in cases_of(plan, demand)]
+    required = [(place, entry) for place, entry in enumerate(plan.keys.require) if entry.of_time == of_time]
+    return [(place, case) for place, entry in required for case in cases_of(plan, entry)]
 
 
 def at_step(plan: Plan, place: int, count: int, taken: int) -> Requirement:

@@ -97,9 +97,10 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     problems += changed_plugins(own, "Python loaded it: start it again")
     if problems:
         raise InputError(source, dict.fromkeys(problems))
+    pairs = zip(plan.conditions, facts, strict=True)
     content = {
         "campaign": keys.model_dump(mode="json", by_alias=True),
-        "conditions": [{"values": cell.values, **asdict(it)} for cell, it in zip(plan.conditions, facts, strict=True)],
+        "conditions": [{"values": condition.values, **asdict(fact)} for condition, fact in pairs],
         "files": checksums(paths, file.base),
         "plugins": own,
         "versions": packages,
@@ -315,7 +316,7 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
     _check_lookout(scene, plan.keys)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
-    named = {keys.label: tracker_of(keys, settings, scene.name, scenes.folder) for keys in plan.keys.trackers}
+    named = {tracker.label: tracker_of(tracker, settings, scene.name, scenes.folder) for tracker in plan.keys.trackers}
     for entry in named.values():
         if isinstance(entry.tracker, CommandTracker):
             paths |= {path.resolve() for path in entry.tracker.paths().values()}
@@ -358,7 +359,7 @@ def _check_lookout(scene: Scene, keys: CampaignKeys) -> None:
     """Raise ModsimError where a lookout requirement is about no vessel of a scene."""
     if keys.lookout and not scene.own_ships:
         raise ModsimError(f"{scene.title}: no vessel carries a camera, so known_at_m has no own ship: leave it out")
-    for label in (demand.kind.label for demand in keys.require if demand.kind and demand.kind.label):
+    for label in (entry.kind.label for entry in keys.require if entry.kind and entry.kind.label):
         if label not in scene.detector.labels:
             hint = nearest(label, scene.detector.labels)
             raise ModsimError(f"{scene.title}: of.label of known_at_m: there is no label {shown(label)} ({hint})")

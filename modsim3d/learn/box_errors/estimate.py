@@ -161,9 +161,8 @@ class BoxErrorForm:
     def estimate(self, observed: Outcomes, resampling: bootstrap.Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
-        best = [
-            options.chosen(form.unit, form.law != "normal") for options, form in zip(fits, self.states, strict=True)
-        ]
+        pairs = zip(fits, self.states, strict=True)
+        best = [state_fits.chosen(form.unit, form.law != "normal") for state_fits, form in pairs]
         persisting = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
         box_s = 0.0 if persisting.box_s is None else float(persisting.box_s.estimate)
         kept, learned, used = kept_share(observed, box_s), [], []
@@ -212,8 +211,8 @@ def _consecutive(
     models: list[ErrorModel | None] = []
     for laws in ([form.law for form in forms], ["normal"] * len(forms)):
         models = [
-            _own_model(options, form.source, form.unit, law)
-            for options, form, law in zip(fits, forms, laws, strict=True)
+            _own_model(state_fits, form.source, form.unit, law)
+            for state_fits, form, law in zip(fits, forms, laws, strict=True)
         ]
         consecutive = persistence.consecutive_errors(observed, models)
         if len(consecutive):
@@ -260,13 +259,13 @@ def choose_box_errors(observed: Outcomes) -> BoxErrorForm:
     fits = [observed.pairs.fits(source, index) for index, source in enumerate(sources)]
     box_s = _persistence_s(observed, sources, fits, notes)
     kept, forms = kept_share(observed, box_s), []
-    for name, source, options in zip(observed.states, sources, fits, strict=True):
-        law = ChosenLaw(plain_unit(options, observed.without))
+    for name, source, state_fits in zip(observed.states, sources, fits, strict=True):
+        law = ChosenLaw(plain_unit(state_fits, observed.without))
         if source is ErrorSource.OWN_STATE:
-            law = choose_law(options, kept, observed.without)
+            law = choose_law(state_fits, kept, observed.without)
         kind = law.unit if law.law == "normal" else law.law
         notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
-        fit = options.chosen(law.unit, law.heavy)
+        fit = state_fits.chosen(law.unit, law.heavy)
         if fit is not None and not fit.settled:
             notes.append(
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
@@ -319,8 +318,8 @@ def _persistence_s(observed: Outcomes, sources: list[ErrorSource], fits: list[Er
     if not len(observed.steps) or "persistence" in observed.without:
         return 0.0  # which the note on misses says
     models = [
-        _own_model(options, source, plain_unit(options, observed.without))
-        for source, options in zip(sources, fits, strict=True)
+        _own_model(state_fits, source, plain_unit(state_fits, observed.without))
+        for source, state_fits in zip(sources, fits, strict=True)
     ]
     consecutive = persistence.consecutive_errors(observed, models)
     correlation = consecutive.correlation()

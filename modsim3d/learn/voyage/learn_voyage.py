@@ -146,10 +146,10 @@ class VoyageRequest:
         """Learn a detector from the logs with the truth of the scene. `read` are the files that were read for it, and
         `call` is the command, or the call from Python, for the page. Raises ModsimError if nothing can be learned."""
         settings = self.request.settings(voyage.labelled, self.position_m)
-        report, summary = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
+        report, voyage_report = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
         files = (*dict.fromkeys([*read, *self.files]),)
         sources = Sources((self.scene.path,) * len(self.logs), self.logs, (), files, settings, call)
-        return VoyageResult(report, files, sources, voyage_sections(summary), voyage_report=summary)
+        return VoyageResult(report, files, sources, voyage_sections(voyage_report), voyage_report=voyage_report)
 
 
 def learn_voyage(

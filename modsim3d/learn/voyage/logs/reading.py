@@ -149,8 +149,8 @@ def _detection(detection: Any) -> Found:
     centre = getattr(box.center, "position", box.center)  # vision_msgs 2 and 3 have x and y in the pose itself
     sides = [centre.x - box.size_x / 2, centre.y - box.size_y / 2, box.size_x, box.size_y]
     turn_rad = float(getattr(box.center, "theta", 0.0))
-    kinds = [getattr(kind, "hypothesis", kind) for kind in detection.results]  # vision_msgs 2 has it in the result
-    best = max(kinds, key=lambda kind: float(kind.score), default=None)
+    hypotheses = [getattr(result, "hypothesis", result) for result in detection.results]  # vision_msgs 2 has none
+    best = max(hypotheses, key=lambda hypothesis: float(hypothesis.score), default=None)
     if best is None:
         return sides, None, None, turn_rad
     label = best.class_id if hasattr(best, "class_id") else best.id  # as vision_msgs 2 calls it

@@ -249,10 +249,10 @@ def _with_drift(
             break
     white = Linear(columns(rows, free), rows.residuals).whitened(fitted.axes / np.sqrt(together), vessel)
     degrees = float(len(effects.vessels))
-    bounds = white.known_by_model(together, degrees)
+    knowledge = white.known_by_model(together, degrees)
     for cluster in (vessel, blocks_of(aligned.residuals)):
-        bounds = wider(bounds, white.known_by(cluster, degrees))
-    return LastFit(aligned, fitted.linear, effects, bounds)
+        knowledge = wider(knowledge, white.known_by(cluster, degrees))
+    return LastFit(aligned, fitted.linear, effects, knowledge)
 
 
 def _round(

@@ -108,11 +108,11 @@ def inside(boxes_px: Array, size_px: Array) -> Mask:
     return (boxes_px > EDGE_PX) & (boxes_px < np.tile(size_px, 2) - EDGE_PX)
 
 
-def match(log: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int], gates_px: Array) -> Sightings:
+def match(detections: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int], gates_px: Array) -> Sightings:
     """Detections and vessels of a frame that are each other's nearest, clearly, by centre's column and lower edge in
     shares of the gate, and widths. `gates_px` are the greatest distances in columns and rows, (m, 2)."""
-    box, row = same_frame(log.frame, predicted.frame)
-    detected, expected = log.boxes_px[box], clip(predicted.boxes_px, size_px)[row]
+    box, row = same_frame(detections.frame, predicted.frame)
+    detected, expected = detections.boxes_px[box], clip(predicted.boxes_px, size_px)[row]
     gates = gates_px[row]
     across = (detected[:, [0, 2]] - expected[:, [0, 2]]).mean(axis=1) / gates[:, 0]
     down = (detected[:, 3] - expected[:, 3]) / gates[:, 1]
@@ -125,10 +125,10 @@ def match(log: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int], g
     box, row = box[clear], row[clear]
     order = np.lexsort((row, predicted.frame[row]))
     box, row = box[order], row[order]
-    frame, boxes = predicted.frame[row], log.boxes_px[box]
+    frame, boxes = predicted.frame[row], detections.boxes_px[box]
     usable = predicted.usable[row] & inside(boxes, np.array(size_px, dtype=np.float64))
     columns = predicted.vessel[row], boxes, usable, predicted.boxes_px[row], predicted.corners_m[row]
-    return Sightings(box, frame, log.times_s[frame], *columns)
+    return Sightings(box, frame, detections.times_s[frame], *columns)
 
 
 def _clearest(owner: Indices, distance: Array) -> Mask:

@@ -140,9 +140,9 @@ def register(
     lost = {group.held for group in groups}
     free = tuple(name for name in free if name not in lost)
     last = _LastFit(Aligner(model, hiding, some, free, use_sizes), free, lost, offsets_m, noise_m, scene.vessel_names)
-    estimated, bounds = _best(last.aligner, [last.of(aligned), *filter(None, map(last.from_start, rivals))], free)
+    estimated, knowledge = _best(last.aligner, [last.of(aligned), *filter(None, map(last.from_start, rivals))], free)
     check_matches(model, estimated.aligned, scene.vessel_names)
-    vessels = _vessel_estimates(scene, model, estimated.aligned, estimated.effects, bounds.covariance)
+    vessels = _vessel_estimates(scene, model, estimated.aligned, estimated.effects, knowledge.covariance)
     rules = _rules(fixed, {*free, *lost}, groups, known_means)
     # Held by a rule: what the others would be under another one.
     groups += [
@@ -151,7 +151,7 @@ def register(
     aligned = estimated.aligned
     if some is not given:
         aligned = Aligner(model, hiding, given, free, use_sizes).matched(aligned)
-    return _registration(camera, model, aligned, free, bounds, known_means, rules, groups, vessels, len(boxes.frame))
+    return _registration(camera, model, aligned, free, knowledge, known_means, rules, groups, vessels, len(boxes.frame))
 
 
 _MEANS = tuple(parameter.name for parameter in parameters.MEAN_ERRORS)
@@ -263,7 +263,7 @@ def _registration(
     model: BoxModel,
     aligned: Alignment,
     free: tuple[str, ...],
-    bounds: parameters.Knowledge,
+    knowledge: parameters.Knowledge,
     means: Mapping[str, float],
     rules: dict[str, str],
     groups: list[ConfoundedGroup],
@@ -276,11 +276,11 @@ def _registration(
         error, half = nan, nan
         if parameter.name in free:
             place = free.index(parameter.name)
-            error, half = float(bounds.errors[place] * scales[place]), float(bounds.half_widths[place] * scales[place])
+            error, half = (float(column[place] * scales[place]) for column in (knowledge.errors, knowledge.half_widths))
         about, rule = (parameter.name, parameter.words, parameter.unit), rules.get(parameter.name, "")
         estimates.append(RegisteredValue(*about, value, error, value - half, value + half, rule))
     before, after = (_rms(model, aligned, values) for values in (Values.none(len(model.hulls_m)), aligned.values))
-    parts = tuple(estimates), vessels, bounds.covariance * scales[:, None] * scales, tuple(groups)
+    parts = tuple(estimates), vessels, knowledge.covariance * scales[:, None] * scales, tuple(groups)
     return Registration(camera, aligned.values, *parts, aligned.sightings, detections, before, after)
 
 
