@@ -34,7 +34,7 @@ class LazyNames:
         if name == VERSION:
             return version(self._package)
         if name not in self._homes:
-            now = f": it is now {RENAMED[name]}" if name in RENAMED else ""
+            now = f": it is now {RENAMED[name]}" if RENAMED.get(name) in self._homes else ""
             raise AttributeError(f"module {self._package!r} has no attribute {name!r}{now}")
         return getattr(import_module(self._homes[name]), name)
 

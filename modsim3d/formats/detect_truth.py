@@ -59,7 +59,7 @@ def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequenc
 
 def mot_files(truth: bytes, video: Video, detections: TrackerDetections, numbers: Sequence[int]) -> dict[str, bytes]:
     """A MOT sequence: the truth as it was read, detections, and `seqinfo.ini`. Detections name their class where the
-    detector has several labels, whose numbers are given. `detections` have the place of its image as the frame."""
+    detector has several labels, whose numbers are given. Frames of `detections` are places of their images."""
     count, duration_s = len(video.images), float(video.times_s[-1] - video.times_s[0])
     rate_hz = (count - 1) / duration_s if count > 1 else ONE_FRAME_HZ
     text = detection_text(detections, np.array(numbers)[detections.label] if len(numbers) > 1 else None)
@@ -175,6 +175,9 @@ def detect_truth(
             cannot be written.
         TypeError: The truth, the folder or the detector is neither text nor a path.
     """
+    truth, folder = as_path(truth, "truth"), as_path(folder, "folder")
+    if seed < 0:
+        raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz, 0, confidence_scale, None, first_frame)
     chosen = {"detector": detector, "settings": settings, "state": state, "state_from": state_from}
     given = detections is not None or truth_alone
@@ -184,8 +187,8 @@ def detect_truth(
 
 
 def _detected(
-    truth: StrPath,
-    folder: StrPath,
+    truth: Path,
+    folder: Path,
     options: ReadOptions,
     detections: StrPath | None,
     detector: Mapping[str, Any],
@@ -197,9 +200,6 @@ def _detected(
 ) -> TruthResult:
     """Result of `detect_truth`; the arguments are those of `_ReadVideos.of_files`."""
     started = time.perf_counter()
-    truth, folder = as_path(truth, "truth"), as_path(folder, "folder")
-    if seed < 0:
-        raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
         work = _ReadVideos.of_files(truth, options, detections, detector, labels, horizon, given=given)
         if work.given and seed:

@@ -184,7 +184,7 @@ def _transitions(observed: Outcomes, options: LearnOptions) -> Transitions:
     """Transitions between states, from the text if it is given, else from the frames."""
     count, interval_s = len(observed.states), options.interval_s
     if interval_s is not None and not interval_s > 0:
-        raise InputError("--interval", [f"must be above 0 (got {interval_s:g})"])
+        raise InputError("--time-step", [f"must be above 0 (got {interval_s:g})"])
     if options.sequence is None:
         return state_maps.transitions_of(observed.labelled.images, observed.image_state, count, interval_s)
     sequence = state_maps.parse_sequence(options.sequence, observed.states, "--sequence")

@@ -76,7 +76,7 @@ def view_film(
         format: `mp4`, `gif`, or `png`: a folder of pictures; by the name, else `mp4`, if None.
         speed, workers: Seconds of the run in a second of the film; number of processes, or `auto`, one for each CPU.
         overwrite: Replace a film that is there.
-        bar: From the film's name, number of frames and pace, a context of the function that counts frames drawn since.
+        bar: Called with name, number of frames and pace; a context of a function called with the number newly drawn.
 
     Raises:
         ModsimError: The run, its tracks or an argument is wrong, a library is missing, or the film cannot be written.

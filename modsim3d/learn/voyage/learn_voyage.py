@@ -201,7 +201,7 @@ def learn_voyage(
         log_options: What the log does not say itself.
         match: As that of `modsim3d.learn_detector`; but if None, by centres where positions are not surely known.
         conditions, states, false_positives, without: As those of `modsim3d.learn_detector`.
-        least_iou, most_distance_px, confidence, replicates, seed, level, beta: As those of the same.
+        least_iou, most_distance_px, confidence, replicates, seed, level, beta: As those of `learn_detector` too.
 
     Raises:
         ModsimError: The scene or the log cannot be read, they do not fit each other, the camera cannot be registered,
