@@ -1,7 +1,9 @@
 // The places of the page that have counts over the whole run: tiles and tables.
 
 const whole = (count) => count.toLocaleString('en');
-const shareOf = (part, all) => (all ? `${(100 * part / all).toFixed(1)}\u00a0%` : '–');
+// Half a tenth goes to the even one, as in Python.
+const tenths = (percents) => (percents % 1 === 0.25 ? percents - 0.05 : percents).toFixed(1);
+const shareOf = (part, all) => (all ? `${tenths(100 * (part / all))}\u00a0%` : '–');
 const ofTrue = (name) => [(tally) => whole(tally[name]), (tally) => `${shareOf(tally[name], tally.right)} of ${whole(tally.right)} true detections`];
 
 // By the name of a tile, a row or a column: the count of a tally as text, and what it is a share of.

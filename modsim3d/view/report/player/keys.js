@@ -46,6 +46,7 @@ function listenToKeys(player) {
     if (event.ctrlKey || event.metaKey || event.altKey || target.matches('select, textarea, input[type=search]')) return;
     if (document.querySelector('dialog[open]') && key !== '?') return;
     if (key === ' ' && target.matches('button, input[type=checkbox], summary')) return;
+    if (/^(Arrow|Home|End)/.test(key) && target === $('least')) return; // they move that slider
     const action = keys[key.length === 1 ? key.toLowerCase() : key];
     if (!action) return;
     event.preventDefault();

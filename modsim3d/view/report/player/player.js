@@ -147,7 +147,7 @@ class Player {
     const whole = index !== null; // an address with a step says all: what it leaves out is as usual
     if (whole || asked.has('beside')) this.stage.beside(asked.get('beside') ?? '');
     if (whole || layers) this.show(layers ?? this.usual);
-    if (whole || asked.has('confidence')) this.threshold.set(Number(asked.get('confidence')) || 0);
+    if (whole || asked.has('confidence')) this.threshold.set(Math.min(Number(asked.get('confidence')) || 0, 1));
     if (whole) this.go(index);
     if (whole || vessel !== null) this.choose(vessel);
     return whole;

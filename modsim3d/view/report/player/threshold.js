@@ -20,7 +20,7 @@ class Threshold {
 
   // Count anew, a little at a time, until the slider is moved on; what counts read is looked up the first time.
   async count() {
-    const { player, least } = this, { recordings } = player.stage, goOn = () => this.least === least;
+    const { player, least } = this, { recordings } = player.stage, turn = this.turn = {}, goOn = () => this.turn === turn;
     if (!least) return this.show(null);
     document.body.classList.add('counting');
     const counts = [], parts = [];
@@ -56,6 +56,6 @@ class Threshold {
   // The active camera's counts over the whole run, in words.
   say() {
     const { recording, camera, stage } = this.player, of = this.tallies?.[stage.recordings.indexOf(recording)].camera[camera];
-    $('leastCounts').textContent = of ? `All ${recording.facts.every > 1 ? 'shown ' : ''}frames of ${recording.facts.cameras[camera].name}: ${of.detected} detected, ${of.annotated - of.detected} missed, ${of.false} false positives.` : '';
+    $('leastCounts').textContent = of ? `All ${recording.facts.every > 1 ? 'shown ' : ''}frames of ${recording.facts.cameras[camera].name}: ${whole(of.detected)} detected, ${whole(of.annotated - of.detected)} missed, ${whole(of.false)} false positives.` : '';
   }
 }
