@@ -168,7 +168,7 @@ def reproduce_run(
         raised_at = f"{where.filename}, line {where.lineno}, in {where.name}"
         error, message = error_and_said(failure)
         raised_at += f"; standard error: {message}" if message else ""
-    if film and row is not None and row["worst_s"] is not None:
+    if film and row is not None and row.get("worst_s") is not None:
         score = score_of_run(folder, (state := present_state(folder)).table, state.verdicts, number)
         about = rules_of(folder.keys.score), row["worst_s"], score
         moment = film_moment(path, tracks, *about, overwrite=overwrite, progress=progress)

@@ -49,7 +49,8 @@ def campaign_reproduce_command(
     moment = again.film
     _print_run(again)
     if film and moment is None:
-        warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))
+        calm = "nothing went wrong in this run" if "worst_s" in (again.row or {}) else "the tracks are in the world"
+        warn(f"there is no film: {'the run crashed' if again.error else calm}")
     _print_outcome(opened, again, moment)
     say_json(_json(opened, again, moment))
     crashed_before = again.before is not None and again.before["status"] == CRASHED
