@@ -170,7 +170,7 @@ def write_report(
     text = PageText(
         title=f"{run.scene.name}: report of a run",
         name=run.scene.name,
-        lead=lead if followed is None else f"{lead}</p>\n  <p>{html.escape(followed.sentence())}",
+        lead=lead if followed is None else f'{lead}</p>\n  <p class="of-tracks">{html.escape(followed.sentence())}',
         notes=_notes(run, every, out),
         result=_result(counts.total),
         tables=_tables(counts, run.settings, _provenance(run, every, command, tracks)),

@@ -53,7 +53,7 @@ class Gallery {
     }
     this.most = most;
     $('thumbs').replaceChildren(...pictures);
-    $('mistakesCount').textContent = `${kept.length} of ${this.found.length} in ${recording.facts.cameras[camera].name}`;
+    $('mistakesCount').textContent = `${whole(kept.length)} of ${whole(this.found.length)} in ${this.player.pane.title}`;
     $('moreMistakes').hidden = kept.length <= most;
   }
 

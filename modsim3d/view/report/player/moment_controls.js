@@ -16,7 +16,7 @@ class MomentControls {
   // The kinds of moments that the camera has.
   fill() {
     const kinds = KINDS.filter(({ kind }) => this.count(kind));
-    $('kind').replaceChildren(...kinds.map(({ kind, name, key }) => new Option(`${name}: ${this.count(kind)}  [${key.toUpperCase()}]`, kind)));
+    $('kind').replaceChildren(...kinds.map(({ kind, name, key }) => new Option(`${name}: ${whole(this.count(kind))}  [${key.toUpperCase()}]`, kind)));
     $('momentRow').hidden = !kinds.length;
     if (kinds.length) this.lookFor(kinds.some(({ kind }) => kind === this.kind) ? this.kind : kinds[0].kind);
   }
@@ -27,7 +27,7 @@ class MomentControls {
     $('kind').value = kind;
     const list = this.moments.look(camera, kind), shown = list.slice(0, MAX_LISTED);
     const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
-    const more = list.length > MAX_LISTED ? ` (the first ${MAX_LISTED})` : '';
+    const more = list.length > MAX_LISTED ? ` (the first ${whole(MAX_LISTED)})` : '';
     $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);
     for (const [button, which] of [['previous', 'Previous'], ['next', 'Next']]) {
       const text = `${which} ${kindOf(kind).one}`, [element] = document.querySelectorAll(`[data-do=${button}]`);

@@ -68,11 +68,11 @@ class Numbers {
 
   fillAll(frame) {
     const { player } = this;
-    const { recording, facts: { name } } = player.pane, { timestamps, steps } = recording.facts;
+    const { recording, title } = player.pane, { timestamps, steps } = recording.facts;
     this.index = frame.index;
     this.truths = truthRows(recording, frame);
     this.detections = detectionRows(recording, frame);
-    $('numbersOf').textContent = [`${name}, ${timestamps[frame.index]} s, step ${steps[frame.index]}`, recording.age(frame.index, frame.camera)].filter((word) => word).join(', ');
+    $('numbersOf').textContent = [`${title}, ${timestamps[frame.index]} s, step ${steps[frame.index]}`, recording.age(frame.index, frame.camera)].filter((word) => word).join(', ');
     this.fill($('numbersTruth'), TRUTH_COLUMNS, this.truths);
     this.fill($('numbersDetections'), DETECTION_COLUMNS, this.detections);
     this.mark();

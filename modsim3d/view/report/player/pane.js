@@ -23,6 +23,7 @@ class Pane {
 
   get facts() { return this.recording.facts.cameras[this.camera]; }
   get size() { return this.facts.size; }
+  get title() { return this.run ? `${this.facts.name} in ${this.recording.name}` : this.facts.name; }
 
   resize() {
     const [width, height] = this.size;
