@@ -204,17 +204,21 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             lines.append(f"{path}: a name must be text: put it in quotes")
         elif item["type"] == "extra_forbidden":
             section = model_at(model, location[:-1])
-            hint = nearest_key(str(location[-1]), section.model_fields if section else ())
+            hint = nearest_key(str(location[-1]), _keys_of(section))
             lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
         elif item["type"] == "missing":
             lines.append(f"{path}: missing" + f" (got {shown(item['input'])})" * isinstance(location[-1], int))
         else:
-            keys = getattr(model_at(model, location), "model_fields", {}) if item["type"] == "model_type" else {}
-            names = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
+            keys = _keys_of(model_at(model, location)) if item["type"] == "model_type" else []
+            names = f": {', '.join(keys[:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
             lines.append(f"{path}: {words(item, names)}")
     if len(items) > MAX_PROBLEMS:
         lines.append(f"… and {len(items) - MAX_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines
+
+
+def _keys_of(model: Any) -> list[str]:
+    return [field.alias or name for name, field in getattr(model, "model_fields", {}).items()]
 
 
 CONDITIONS = "conditions"  # name of the shipped folder, with the conditions that the thesis measured

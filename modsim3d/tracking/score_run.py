@@ -151,7 +151,8 @@ def _scored(
 
         if run.scene.labels is not None and run.scene.labels.detections is not None:
             raise ModsimError("--seeds is for a simulated detector, and these detections are a real one's: leave out")
-        check_seeds(seeds, [track_set for _, track_set in in_images], [path for path, _ in in_world])
+        track_sets = [track_set for _, track_set in in_images]
+        check_seeds(seeds, track_sets, [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
     world = tuple(
         WorldTrackScores(estimates.name, path, score_world(rows, estimates, gate_m, in_metres))
@@ -167,9 +168,7 @@ def _scored(
         rules,
         tuple(sorted(scored, key=lambda tracker: -(keys_of(tracker.scores)["hota"] or 0.0))),
         {name: score_tracks(rows, reference, rules) for name, reference in references.items()},
-        spread_over_seeds(run, [track_set for _, track_set in in_images], seeds, rules, progress)
-        if seeds is not None
-        else None,
+        spread_over_seeds(run, track_sets, seeds, rules, progress) if seeds is not None else None,
         world,
     )
 
@@ -243,9 +242,6 @@ def _name_tracks(pairs: list[tuple[P, T]]) -> list[tuple[P, T]]:
     """Tracks with their names in tables: those of one name by their paths, or by their numbers where they have none."""
     names = [tracks.name for _, tracks in pairs]
     return [
-        (
-            path,
-            replace(tracks, name=f"{path or f'{tracks.name} {index + 1}'}") if names.count(tracks.name) > 1 else tracks,
-        )
-        for index, (path, tracks) in enumerate(pairs)
+        (path, replace(tracks, name=f"{path or f'{tracks.name} {place}'}") if names.count(tracks.name) > 1 else tracks)
+        for place, (path, tracks) in enumerate(pairs, start=1)
     ]

@@ -28,7 +28,7 @@ def problems(tmp_path: Path, text: str) -> tuple[str, ...]:
     ("scene: harbour\n", ["trackers: missing"]),
     ("scene: harbour\ntracker: sort\n", ["tracker: unknown key (did you mean 'trackers'?)"]),
     (HARBOUR + "scenes: [strait]\n", ["give either scene or scenes"]),
-    (HARBOUR + "seeds: {trafic: 3}\n", ["seeds.trafic: unknown key (did you mean 'traffic'?)"]),
+    (HARBOUR + "seeds: {trafic: 3}\nrequire: [{inn: 1}]\n", ["seeds.trafic: unknown key (did", "(did you mean 'in'?)"]),
     (HARBOUR + "vary: [{grid: {state: [good]}, pairs: {x: [1]}}]\n", ["vary[0]: give exactly one of grid, pairs"]),
     (HARBOUR + "require: [{score: hota}]\n", ["require[0]: give either at_least or at_most"]),
     (HARBOUR + "score: {similarity: centre}\n", ["score: similarity centre needs scale_px"]),

@@ -63,9 +63,8 @@ def layout_of(header: Sequence[str]) -> Layout | None:
     """The layout that a header fits best, or None if it fits none. A layout that misses fewer of its needed columns
     comes first, because layouts share the names of many others."""
     best = max(layouts(), key=lambda layout: (-len(layout.missing(header)), len(layout.columns_in(header))))
-    telling = [
-        name for name in best.columns_in(header).values() if len(name.strip()) > 1
-    ]  # any table may have an A and a B
+    # Any table may have an A and a B.
+    telling = [name for name in best.columns_in(header).values() if len(name.strip()) > 1]
     return best if len(telling) >= MIN_NAMES else None
 
 

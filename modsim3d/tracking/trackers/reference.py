@@ -125,6 +125,7 @@ class ReferenceTracker(Tracker):
     def _corrected(self, tracks: _LiveTracks, frame: SensedFrame, track: Indices, detection: Indices) -> _LiveTracks:
         motion = tracks.motion.take(track)
         better = motion.corrected(centre_form(frame.boxes_px[detection]), self._noise_px2(motion.place))
+        motion = tracks.motion.with_rows(track, better)
         hits, seen_s, confidence = tracks.hits.copy(), tracks.seen_s.copy(), tracks.confidence.copy()
         votes, missed = tracks.votes.copy(), np.ones(len(hits), dtype=bool)
         missed[track] = False
@@ -132,9 +133,7 @@ class ReferenceTracker(Tracker):
         hits[track] += 1
         seen_s[track], confidence[track] = frame.time_s, frame.confidence[detection]
         votes[track, frame.label[detection]] += frame.confidence[detection]
-        return _LiveTracks(
-            tracks.motion.with_rows(track, better), tracks.number, hits, misses, seen_s, votes, confidence
-        )
+        return _LiveTracks(motion, tracks.number, hits, misses, seen_s, votes, confidence)
 
     def _alive(self, tracks: _LiveTracks, time_s: float) -> _LiveTracks:
         unconfirmed = (tracks.hits < self.confirm_hits) & (tracks.misses > 1)

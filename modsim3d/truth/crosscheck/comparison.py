@@ -201,10 +201,8 @@ class _VesselPixels:
         self.spans = [spans.take(spans.row == vessel) for spans in (claims.silhouettes, claims.visible)]
         self.full_box, self.visible_box = np.full((2, 4), np.nan)
         if row is not None:
-            self.full_box, self.visible_box = (
-                claims.truth.full_boxes_px[row] * ss,
-                claims.truth.visible_boxes_px[row] * ss,
-            )
+            self.full_box = claims.truth.full_boxes_px[row] * ss
+            self.visible_box = claims.truth.visible_boxes_px[row] * ss
         self.corners = drawing.boxes_px.get(vessel, self.full_box)
         low, high = np.fmin(self.corners, self.full_box)[:2], np.fmax(self.corners, self.full_box)[2:]
         self.region = Region.around(np.concatenate([low, high]), drawing.size_px, MARGIN_PX)

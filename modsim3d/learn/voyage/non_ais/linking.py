@@ -157,10 +157,8 @@ def _assigned(
     """Pairs of a detection and the thing that it is of, as places; measured and sure are (n, 4)."""
     if not tracklets:
         return []
-    expected, known = (
-        np.stack([tracklet.expected(now) for tracklet in tracklets]),
-        np.stack([tracklet.known for tracklet in tracklets]),
-    )
+    expected = np.stack([tracklet.expected(now) for tracklet in tracklets])
+    known = np.stack([tracklet.known for tracklet in tracklets])
     apart, counts = np.array([(now - tracklet.last_s, tracklet.counts.min()) for tracklet in tracklets]).T
     width, height = np.maximum(expected[:, 2:] - expected[:, :2], 1.0).T
     side = np.sqrt(np.where(known[:, 0] & known[:, 2], width, np.maximum(width, _ASPECT * height)) * height)
