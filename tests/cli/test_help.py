@@ -75,7 +75,7 @@ def test_commands_and_options_are_few_and_the_help_of_each_means_the_same_in_eve
         assert not strange or parameter.name == "verbose", (name, parameter.name)
     for name, commands in options_by_name().items():
         first = {(parameter.help or "").split()[0].rstrip(",:") for parameter in commands.values()}
-        taken = {parameter.metavar for parameter in commands.values()}
+        taken = {parameter.metavar or "" for parameter in commands.values()}
         assert (len(first), len(taken)) == (1, 1) or name == "--out", (name, first, taken)
 
 
