@@ -56,6 +56,6 @@ class Threshold {
   // The active camera's counts over the whole run, in words.
   say() {
     const { recording, camera, stage } = this.player, of = this.tallies?.[stage.recordings.indexOf(recording)].camera[camera];
-    $('leastCounts').textContent = of ? `All ${recording.facts.every > 1 ? 'shown ' : ''}frames of ${this.player.pane.title}: ${whole(of.detected)} detected, ${whole(of.annotated - of.detected)} missed, ${whole(of.false)} false positives.` : '';
+    $('leastCounts').textContent = of ? `All ${recording.facts.every > 1 ? 'shown ' : ''}frames of ${this.player.pane.title}: ${whole(of.detected)} detected, ${whole(of.annotated - of.detected)} missed, ${whole(of.false)} false positive${of.false === 1 ? '' : 's'}.` : '';
   }
 }
