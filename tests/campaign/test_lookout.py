@@ -129,12 +129,11 @@ def test_scores_of_closest_approaches_and_trajectories_in_the_world_can_be_requi
 
 
 def test_rules_in_the_world_reach_the_scores_and_leave_other_plans_as_they_were(tmp_path) -> None:
-    keys = {"scene": "fairway", "steps": 16, "trackers": ["world_gnn"]}
-    rows = []
+    keys, rows = {"scene": "fairway", "steps": 16, "trackers": ["world_gnn"]}, []
     for name, score in (("usual", {}), ("strict", {"in_world": {"gospa_c_m": 5.0, "gate_m": 1.0}})):
-        (tmp_path / name).mkdir()
-        rows += run_campaign_file(tmp_path / name, **keys, score=score).table.to_pylist()
+        rows += run_campaign_file(tmp_path, f"{name}.yaml", **keys, score=score).table.to_pylist()
     usual, strict = rows
     assert strict["gospa_m"] < usual["gospa_m"] / 5 and strict["ospa2_m"] <= 5 < usual["ospa2_m"]
     assert strict["followed_share"] < usual["followed_share"]
+    assert reproduce_run(tmp_path / "usual", 0, tmp_path / "again", film=True).film is None  # no moment is known
     assert "in_world" not in CampaignKeys.model_validate(keys).model_dump(mode="json")["score"]

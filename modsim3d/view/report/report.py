@@ -235,10 +235,8 @@ def note_on_steps(every: int) -> str:
 
 def _result(counts: Counts) -> str:
     """The counts of what the detector did, under a warning where many of its boxes do not fit."""
-    result, share = (
-        tiles(count_tables.named_counts(counts), "result"),
-        counts.below_half_iou / max(counts.true_detections, 1),
-    )
+    result = tiles(count_tables.named_counts(counts), "result")
+    share = counts.below_half_iou / max(counts.true_detections, 1)
     if share <= LOUD_SHARE:
         return result
     return (
