@@ -30,8 +30,9 @@ class Gallery {
     const found = await mistakesIn(recording, camera);
     if (this.of !== of) return;
     this.found = found;
-    const kinds = MISTAKES.filter((kind) => found.some((each) => each.kind === kind));
+    const { value } = $('byKind'), kinds = MISTAKES.filter((kind) => found.some((each) => each.kind === kind));
     $('byKind').replaceChildren(new Option('all kinds', ''), ...kinds.map((kind) => new Option(kindOf(kind).name, kind)));
+    if (kinds.includes(value)) $('byKind').value = value;
     await this.fill();
   }
 
