@@ -2,7 +2,7 @@
 
 const MIN_STEPS = 20; // that the timeline shows
 const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MAX_ROWS = 18.5, FEWER_ROWS = 12.5, NAME_LEFT_PX = 8;
-const BARS = [['missed', 'missed'], ['false', 'false'], ['mislabelled', 'wrong class'], ['bad', 'IoU < 0.5'], ['off', 'off vessel']];
+const BARS = [['missed', 'missed'], ['false', 'false positives'], ['mislabelled', 'wrong class'], ['bad', 'IoU < 0.5'], ['off', 'off vessel']];
 
 class Timeline {
   constructor(canvas, recording) {
@@ -23,7 +23,7 @@ class Timeline {
     const width = this.panel.parentElement.clientWidth;
     this.context.font = '12px system-ui, sans-serif';
     const widest = Math.max(0, ...this.vessels.map((vessel) => this.context.measureText(facts.vessels[vessel].name).width));
-    this.left = Math.min(Math.max(132, widest + NAME_LEFT_PX + 8), 0.32 * width);
+    this.left = Math.min(Math.max(152, widest + NAME_LEFT_PX + 8), 0.32 * width);
     this.wide = width - this.left;
     // Misses and false positives always, the rest where there is some.
     this.kinds = BARS.filter(([kind], i) => i < 2 || this.overview[kind].some((count) => count));
@@ -197,7 +197,7 @@ class Timeline {
     const state = facts.states[overview.state[bin]] ?? '–', long = overview.stopOf(bin) - overview.firstOf(bin);
     const lines = [
       long > 1 ? stepsInWords(recording, overview.firstOf(bin), overview.stopOf(bin) - 1, state) : stepInWords(recording, index, state),
-      [`${counts('annotated')} annotated`, `${counts('missed')} missed`, `${counts('false')} false`, some(counts('mislabelled'), 'of a wrong class'),
+      [`${counts('annotated')} annotated`, `${counts('missed')} missed`, falsePositives(counts('false')), some(counts('mislabelled'), 'of a wrong class'),
         some(counts('bad'), 'with IoU below 0.5'), some(counts('off'), 'off their vessel')].filter((word) => word).join(', '),
     ];
     if (vessel !== null) lines.push(`${facts.vessels[vessel].name}: ${vesselInBin(overview, vessel, bin).join(', ')}`);

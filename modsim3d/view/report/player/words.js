@@ -15,6 +15,8 @@ function wordsFor({ mislabelled, bad, off }) {
 
 function some(count, text) { return count ? `${count} ${text}` : ''; }
 
+function falsePositives(count) { return `${whole(count)} false positive${count === 1 ? '' : 's'}`; }
+
 // Whole metres, with commas in thousands.
 function inMetres(metres) { return `${Math.round(metres).toLocaleString('en')} m`; }
 
@@ -30,7 +32,7 @@ function frameInWords(recording, { index, camera, truths, detections }) {
   return [
     `${facts.timestamps[index]} s`, `step ${facts.steps[index]} of ${facts.steps[length - 1]}`,
     recording.age(index, camera), `detector ${recording.state(index, camera)}`, `${truths.length} in the image`,
-    `${detections.length - wrong} detected`, `${truths.filter((truth) => truth.missed).length} missed`, `${wrong} false`,
+    `${detections.length - wrong} detected`, `${truths.filter((truth) => truth.missed).length} missed`, falsePositives(wrong),
     some(count(({ mislabelled }) => mislabelled), 'of a wrong class'), some(count(({ bad }) => bad), 'with IoU below 0.5'),
     some(count(({ off }) => off), 'off their vessel'),
   ].filter((word) => word).join(' · ');
