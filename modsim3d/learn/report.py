@@ -171,14 +171,14 @@ def results(report: LearnReport) -> list[tuple[str, str, str]]:
     detections, annotations = matched.pairs
     labelled = report.labelled
     wrong = int(np.sum(labelled.results.label[detections] != labelled.annotations.label[annotations]))
-    precise = []
+    precise, false = [], counts - matches
     if report.shares is not None:
         points = f"{100 * report.shares.average_precision:.1f}"
         precise = [("Average precision", points, f"points of 100, by {report.curves_matched_by}")]
     return [
         ("Matches", f"{matches:,}", f"of {counted(sought, 'annotation')}"),
         ("Missed", percent_of(sought - matches, sought), f"{sought - matches:,} of {counted(sought, 'annotation')}"),
-        ("False", percent_of(counts - matches, counts), f"{counts - matches:,} of {counted(counts, 'detection')}"),
+        ("False positives", percent_of(false, counts), f"{false:,} of {counted(counts, 'detection')}"),
         ("Wrong class", percent_of(wrong, matches), f"{wrong:,} of {counted(matches, 'match', 'matches')}"),
         *precise,
         ("Left simple", f"{len(report.learned.notes):,}", "parts of which the data say too little; listed below"),
