@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -180,28 +181,18 @@ def detect_truth(
         raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz, 0, confidence_scale, None, first_frame)
     chosen = {"detector": detector, "settings": settings, "state": state, "state_from": state_from}
-    given = detections is not None or truth_alone
-    return _detected(
-        truth, folder, options, None if truth_alone else detections, chosen, labels, horizon, given, seed, overwrite
-    )
+    given, results = detections is not None or truth_alone, None if truth_alone else detections
+    read_videos = partial(_ReadVideos.of_files, truth, options, results, chosen, labels, horizon, given=given)
+    return _detected(truth, folder, read_videos, seed, overwrite)
 
 
 def _detected(
-    truth: Path,
-    folder: Path,
-    options: ReadOptions,
-    detections: StrPath | None,
-    detector: Mapping[str, Any],
-    labels: Sequence[str] | None,
-    horizon: float | Sequence[float] | None,
-    given: bool,
-    seed: int,
-    overwrite: bool,
+    truth: Path, folder: Path, read_videos: Callable[[], _ReadVideos], seed: int, overwrite: bool
 ) -> TruthResult:
-    """Result of `detect_truth`; the arguments are those of `_ReadVideos.of_files`."""
+    """Result of `detect_truth`, of videos that are read here, so that their files are noted."""
     started = time.perf_counter()
     with inputs_noted() as read:
-        work = _ReadVideos.of_files(truth, options, detections, detector, labels, horizon, given=given)
+        work = read_videos()
         if work.given and seed:
             raise InputError("--detector-seed", ["is for a simulated detector: leave it out"])
         names, scene = work.file_names(), work.scene(seed)
